@@ -1,0 +1,1 @@
+"""The physical models, one file each: kernels, Jacobians, noise. No estimator logic."""

@@ -1,0 +1,112 @@
+"""Known points of the target seen from a sensor on the chaser: what all cameras share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.errors import InputError
+from relnav_graph.models import SensorModel
+from relnav_graph.state import (
+    CHASER_ATTITUDE,
+    RELATIVE_ATTITUDE,
+    RELATIVE_POSITION,
+    RELATIVE_POSITION_T,
+    TARGET_ATTITUDE,
+    Block,
+)
+from relnav_graph.units import Quantity
+
+Array = NDArray[np.float64]
+#: How the pose stands in the state: in the target's orbital frame, by R_oc, R_ot and
+#: r_tc_o; or directly relative to the target, by R_tc and r_tc_t.
+Pose = Literal["orbital", "target"]
+
+
+def pose_blocks(pose: Pose) -> tuple[Block, ...]:
+    """The blocks that hold the pose, in the order of the kernels."""
+    if pose == "orbital":
+        return CHASER_ATTITUDE, TARGET_ATTITUDE, RELATIVE_POSITION
+    return RELATIVE_ATTITUDE, RELATIVE_POSITION_T
+
+
+@jit
+def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, Array]:
+    """Position (3,) in sensor axes of a point given in target axes, and its Jacobian.
+
+    mounting (12,): R_cs row by row, then r_sc_c, the sensor's place in the chaser.
+    x: R_oc, R_ot, r_tc_o (21,) or R_tc, r_tc_t (12,); the Jacobian is (3, 9) or (3, 6).
+
+        p_s = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c)
+    """
+    orbital = x.shape[0] == 21
+    R_cs = mounting[:9].copy().reshape(3, 3)
+    R_oc = x[:9].copy().reshape(3, 3)
+    R_so = so3.transpose_multiply(R_cs, np.ascontiguousarray(R_oc.T))
+    if orbital:
+        R_ot = x[9:18].copy().reshape(3, 3)
+        line = so3.rotate(R_ot, point_t) - x[18:21]
+    else:
+        line = point_t - x[9:12]
+    line_c = so3.unrotate(R_oc, line)
+    jacobian = np.empty((3, 9 if orbital else 6))
+    jacobian[:, :3] = so3.transpose_multiply(R_cs, so3.skew(line_c))
+    if orbital:
+        jacobian[:, 3:6] = -so3.multiply(so3.multiply(R_so, R_ot), so3.skew(point_t))
+        jacobian[:, 6:] = -R_so
+    else:
+        jacobian[:, 3:] = -R_so
+    return so3.unrotate(R_cs, line_c - mounting[9:12]), jacobian
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointSensor(SensorModel):
+    """What the sensors of known points share.
+
+    points: X_t (n, 3), m, target axes; an observation's id is its row. sensor_attitude:
+    R_cs; sensor_position: r_sc_c, m. pose: how the pose stands in the state.
+    Raises InputError when R_cs is not a rotation within 1e-6.
+    """
+
+    points: Annotated[Array, Quantity("m", (None, 3))]
+    sensor_attitude: Annotated[Array, Quantity("1", (3, 3))] = field(
+        default_factory=lambda: np.eye(3)
+    )
+    sensor_position: Annotated[Array, Quantity("m", (3,))] = field(
+        default_factory=lambda: np.zeros(3)
+    )
+    pose: Pose = "orbital"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        error = np.abs(self.sensor_attitude.T @ self.sensor_attitude - np.eye(3)).max()
+        if error > 1e-6 or np.linalg.det(self.sensor_attitude) < 0:
+            raise InputError(f"{self.kind}.sensor_attitude: not a rotation (off by {error:.1e})")
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return pose_blocks(self.pose)
+
+    def constants(self) -> Array:
+        return np.concatenate([self.sensor_attitude.ravel(), self.sensor_position])
+
+    def observables(self) -> NDArray[np.int64]:
+        return np.arange(len(self.points))
+
+    def observation_data(self, ids: NDArray[np.int64]) -> Array:
+        bad = (ids < 0) | (ids >= len(self.points))
+        if bad.any():
+            last = len(self.points) - 1
+            raise InputError(f"{self.kind}: found id {ids[bad][0]}, expected 0 to {last}")
+        return np.ascontiguousarray(self.points[ids])
+
+    def points_in_sensor(self, ids: NDArray[np.int64], *x: Array) -> Array:
+        """Positions (k, 3) of the points `ids` in sensor axes, m."""
+        packed = np.concatenate([np.ravel(value) for value in x])
+        p = self.constants()
+        return np.array([point_in_sensor(p, q, packed)[0] for q in self.observation_data(ids)])

@@ -1,0 +1,81 @@
+"""Relative position from a velocity that is measured in the chaser's axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.models import DynamicsModel
+from relnav_graph.state import (
+    CHASER_ATTITUDE,
+    RELATIVE_ATTITUDE,
+    RELATIVE_POSITION,
+    RELATIVE_POSITION_T,
+    Block,
+)
+from relnav_graph.units import Quantity
+
+from ._points import Pose
+
+Array = NDArray[np.float64]
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r, R). Each row of u: dt, velocity in c, gyro; both hold over dt.
+
+    The path within dt is curved: its integral is the left Jacobian of the turn.
+    """
+    R = x[3:12].copy().reshape(3, 3)
+    turned = np.eye(3)
+    path_c = np.zeros(3)
+    duration = 0.0
+    for row in range(u.shape[0]):
+        dt = u[row, 0]
+        duration += dt
+        turn = u[row, 4:7] * dt
+        path_c += so3.rotate(turned, so3.rotate(so3.right_jacobian(-turn), u[row, 1:4] * dt))
+        turned = so3.multiply(turned, so3.exp(turn))
+    x_next[:] = x[:3] + so3.rotate(R, path_c)
+    F[:, :3] = np.eye(3)
+    F[:, 3:6] = -so3.multiply(R, so3.skew(path_c))
+    Q[:, :] = 0.0
+    for i in range(3):
+        Q[i, i] = p[0] ** 2 * duration
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyVelocity(DynamicsModel):
+    """Relative position, r' = R v_c, for passes without an orbit.
+
+    The inputs are the velocity of the chaser relative to the target's rest frame, in
+    chaser axes, and the gyro, which bends the path within a sample (the gyro's bias
+    would move it by b v dt^2 / 2 only, and is left out). Barfoot 2017, section 7.2.
+
+    velocity_density: m/sqrt(s), white noise of the velocity; pose: whether position and
+    attitude are r_tc_o and R_oc or r_tc_t and R_tc.
+    """
+
+    kind: ClassVar[str] = "body_velocity"
+    inputs: ClassVar[tuple[str, ...]] = ("velocity", "gyro")
+    kernel = staticmethod(kernel)
+
+    velocity_density: Annotated[float, Quantity("m/sqrt(s)", positive=True)]
+    pose: Pose = "orbital"
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        return (RELATIVE_POSITION if self.pose == "orbital" else RELATIVE_POSITION_T,)
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return (CHASER_ATTITUDE if self.pose == "orbital" else RELATIVE_ATTITUDE,)
+
+    def constants(self) -> Array:
+        return np.array([self.velocity_density])

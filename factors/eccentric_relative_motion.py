@@ -1,0 +1,129 @@
+"""Relative motion about a target on a known orbit of any eccentricity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.models import DynamicsModel
+from relnav_graph.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
+from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
+from relnav_graph.units import Quantity
+
+Array = NDArray[np.float64]
+
+
+@jit
+def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Array]:
+    """r'' (3,) of the separation x = (r, r') in the rotating frame, and its Jacobian to
+    x, (3, 6): the exact difference of two two-body motions.
+
+    The difference of gravities in Battin's form (1999, eq. 8.61), which loses no digits
+    however small the separation. motion: see `relnav_graph.orbit.chief_motion`.
+    """
+    radius, _, _, rate, rate_dot = motion
+    r, v = x[:3], x[3:]
+    q = (r[0] * (r[0] + 2 * radius) + r[1] ** 2 + r[2] ** 2) / radius**2
+    stretch = q * (3 + 3 * q + q * q) / (1 + (1 + q) ** 1.5)
+    distance = radius * np.sqrt(1 + q)
+    pull = mu / distance**3
+    out = -pull * r
+    out[0] += pull * stretch * radius + 2 * rate * v[1] + rate_dot * r[1] + rate**2 * r[0]
+    out[1] += -2 * rate * v[0] - rate_dot * r[0] + rate**2 * r[1]
+    n = r / distance
+    n[0] += radius / distance
+    jacobian = np.zeros((3, 6))
+    for i in range(3):
+        for j in range(3):
+            jacobian[i, j] = 3 * pull * n[i] * n[j]
+        jacobian[i, i] -= pull
+    jacobian[0, 0] += rate**2
+    jacobian[1, 1] += rate**2
+    jacobian[0, 1] += rate_dot
+    jacobian[1, 0] -= rate_dot
+    jacobian[0, 4] = 2 * rate
+    jacobian[1, 3] = -2 * rate
+    return out, jacobian
+
+
+@jit
+def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
+    """x (6,) after one Runge-Kutta step of h seconds, and the step's own Jacobian."""
+    stage_x, stage_d = x, np.eye(6)
+    slope, dslope = np.zeros(6), np.zeros((6, 6))
+    for stage in range(4):
+        at = t if stage == 0 else t + h if stage == 3 else t + 0.5 * h
+        a, da = relative_acceleration(chief_motion(orbit, at), orbit[3], stage_x)
+        k = np.concatenate((stage_x[3:], a))
+        dk = np.empty((6, 6))
+        dk[:3] = stage_d[3:]
+        dk[3:] = so3.multiply(da, stage_d)
+        weight = (1.0 if stage in (0, 3) else 2.0) / 6
+        slope = slope + weight * k
+        dslope = dslope + weight * dk
+        ahead = h if stage == 2 else 0.5 * h
+        stage_x, stage_d = x + ahead * k, np.eye(6) + ahead * dk
+    return x + h * slope, np.eye(6) + h * dslope
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r_tc_o, r_tc_o'). Steps of at most p[6] seconds; p[5] != 0: exact gravity."""
+    orbit, density2 = p[:4], p[4] ** 2
+    duration = u[:, 0].sum()
+    steps = max(1, int(np.ceil(duration / p[6] - 1e-9)))
+    h = duration / steps
+    state, total, noise = x.copy(), np.eye(6), np.zeros((6, 6))
+    for n in range(steps):
+        at = t + n * h
+        if p[5] != 0.0:
+            state, step = exact_step(orbit, at, h, state)
+        else:
+            step = relative_transition(orbit, at, at + h)
+            state = so3.rotate(step, state)
+        total = so3.multiply(step, total)
+        noise = so3.multiply(so3.multiply(step, noise), np.ascontiguousarray(step.T))
+        for i in range(3):
+            noise[i, i] += density2 * h**3 / 3
+            noise[i, 3 + i] += density2 * h**2 / 2
+            noise[3 + i, i] += density2 * h**2 / 2
+            noise[3 + i, 3 + i] += density2 * h
+    x_next[:] = state
+    F[:, :] = total
+    Q[:, :] = noise
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class EccentricRelativeMotion(DynamicsModel):
+    """Position and velocity of the chaser relative to the target, in the rotating frame.
+
+    gravity = "linear": Zhang et al. 2015, eq. 1, whose transition matrix is known in
+    closed form (`relnav_graph.orbit.relative_transition`); it neglects 1.5 mu r^2 / R^4,
+    2.5e-8 m/s^2 at 300 m in low orbit. gravity = "exact": the difference of the two
+    two-body motions, of which the linear equations are the first order.
+
+    acceleration_density: m/s^1.5, white, per axis; max_step: s, the longest step of the
+    integration; relative_velocity is the derivative in the rotating frame.
+    """
+
+    kind: ClassVar[str] = "eccentric_relative_motion"
+    kernel = staticmethod(kernel)
+
+    acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    orbit: KeplerOrbit
+    gravity: Literal["exact", "linear"] = "exact"
+    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        return RELATIVE_POSITION, RELATIVE_VELOCITY
+
+    def constants(self) -> Array:
+        own = [self.acceleration_density, float(self.gravity == "exact"), self.max_step]
+        return np.concatenate([orbit_array(self.orbit), own])

@@ -1,0 +1,85 @@
+"""Attitude propagated by a gyro, jointly with the random walk of the gyro's bias."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.models import DynamicsModel
+from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
+from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE, Block
+from relnav_graph.units import Quantity
+
+Array = NDArray[np.float64]
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (R_oc, b). Each row of u (dt, gyro mean) turns the attitude by (gyro - b) dt.
+
+    Attitude and bias noise are correlated: the bias walks while the attitude turns.
+    """
+    orbit, density_v2, density_u2 = p[:4], p[4] ** 2, p[5] ** 2
+    R_oc = x[:9].copy().reshape(3, 3)
+    b = x[9:12]
+    total = np.eye(6)
+    noise = np.zeros((6, 6))
+    step = np.eye(6)
+    duration = 0.0
+    for row in range(u.shape[0]):
+        dt = u[row, 0]
+        duration += dt
+        turn = (u[row, 1:4] - b) * dt
+        R_oc = so3.multiply(R_oc, so3.exp(turn))
+        step[:3, :3] = so3.exp(-turn)
+        step[:3, 3:] = -dt * so3.right_jacobian(turn)
+        total = so3.multiply(step, total)
+        noise = so3.multiply(so3.multiply(step, noise), np.ascontiguousarray(step.T))
+        for i in range(3):
+            noise[i, i] += density_v2 * dt + density_u2 * dt**3 / 3
+            noise[i, 3 + i] -= density_u2 * dt**2 / 2
+            noise[3 + i, i] -= density_u2 * dt**2 / 2
+            noise[3 + i, 3 + i] += density_u2 * dt
+    R_oc = so3.multiply(frame_rotation(orbit, t, t + duration), R_oc)
+    x_next[:9] = so3.project(R_oc).reshape(9)
+    x_next[9:12] = b
+    F[:, :] = total
+    Q[:, :] = noise
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GyroBias(DynamicsModel):
+    """Chaser attitude and gyro bias, driven by a rate-integrating gyro.
+
+    R_oc' = R_oc [w_ci_c x] - [w_oi_o x] R_oc, w_ci_c = gyro - b - white, b' = white.
+    Source: Farrenkopf 1978; Crassidis and Junkins 2011, section 7.2; exact for a rate
+    that is constant over each gyro sample.
+
+    angle_random_walk_density: rad/sqrt(s); bias_random_walk_density: rad/s^1.5; orbit:
+    the target's, None where o does not rotate. attitude: which block turns with the
+    chaser: R_oc, or R_tc of a target at rest in o.
+    """
+
+    kind: ClassVar[str] = "gyro_bias"
+    inputs: ClassVar[tuple[str, ...]] = ("gyro",)
+    kernel = staticmethod(kernel)
+
+    angle_random_walk_density: Annotated[float, Quantity("rad/sqrt(s)", positive=True)]
+    bias_random_walk_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
+    orbit: KeplerOrbit | None = None
+    attitude: Literal["chaser_attitude", "relative_attitude"] = "chaser_attitude"
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        chaser = self.attitude == "chaser_attitude"
+        return (CHASER_ATTITUDE if chaser else RELATIVE_ATTITUDE), GYRO_BIAS
+
+    def constants(self) -> Array:
+        densities = [self.angle_random_walk_density, self.bias_random_walk_density]
+        return np.concatenate([orbit_array(self.orbit), densities])

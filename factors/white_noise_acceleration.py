@@ -1,0 +1,65 @@
+"""Relative motion without an orbit: constant velocity driven by white acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.compiled import jit
+from relnav_graph.models import DynamicsModel
+from relnav_graph.state import (
+    RELATIVE_POSITION,
+    RELATIVE_POSITION_T,
+    RELATIVE_VELOCITY,
+    RELATIVE_VELOCITY_T,
+    Block,
+)
+from relnav_graph.units import Quantity
+
+from ._points import Pose
+
+Array = NDArray[np.float64]
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r, v)."""
+    dt = u[:, 0].sum()
+    F[:, :] = 0.0
+    Q[:, :] = 0.0
+    for i in range(3):
+        x_next[i] = x[i] + dt * x[3 + i]
+        x_next[3 + i] = x[3 + i]
+        F[i, i] = F[3 + i, 3 + i] = 1.0
+        F[i, 3 + i] = dt
+        Q[i, i] = p[0] ** 2 * dt**3 / 3
+        Q[i, 3 + i] = Q[3 + i, i] = p[0] ** 2 * dt**2 / 2
+        Q[3 + i, 3 + i] = p[0] ** 2 * dt
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhiteNoiseAcceleration(DynamicsModel):
+    """Position and velocity in a frame that does not rotate, r'' = white.
+
+    Bar-Shalom, Li, Kirubarajan 2001, section 6.2.2.
+    acceleration_density: m/s^1.5, per axis; pose: whether r and v are in o or in t.
+    """
+
+    kind: ClassVar[str] = "white_noise_acceleration"
+    kernel = staticmethod(kernel)
+
+    acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    pose: Pose = "orbital"
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        if self.pose == "orbital":
+            return RELATIVE_POSITION, RELATIVE_VELOCITY
+        return RELATIVE_POSITION_T, RELATIVE_VELOCITY_T
+
+    def constants(self) -> Array:
+        return np.array([self.acceleration_density])

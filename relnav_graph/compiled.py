@@ -1,0 +1,147 @@
+"""Compilation of numeric kernels with numba, and a disk cache that cannot go stale.
+
+A *kernel* is the one place where a model's formula stands. Each contract has one
+fixed signature, so that the generic loops take kernels as typed first-class functions
+and are themselves compiled once, whatever models a problem uses.
+
+numba's own disk cache looks only at the file of the cached function: a change in a
+callee that lives in another file goes unseen. Here the cache folder bears a digest of
+every source file that holds compiled code (this package's and the kernel's own), so a
+change anywhere gives a new folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from functools import cache, wraps
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba import types
+from numba.experimental.function_type import _get_wrapper_address
+
+__all__ = [
+    "DYNAMICS_KERNEL",
+    "SENSOR_KERNEL",
+    "cache_folder",
+    "dynamics_pointer",
+    "jit",
+    "jit_as",
+    "sensor_pointer",
+]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+VECTOR = types.Array(types.float64, 1, "C")
+MATRIX = types.Array(types.float64, 2, "C")
+STACK = types.Array(types.float64, 3, "C")
+INDICES = types.Array(types.int64, 1, "C")
+
+#: ``status = kernel(p, q, z, x, r, H)``: one observation (one beacon, one point, one fix).
+#: p constants of the sensor, q data of this observation, z measured value, x stored values
+#: of the blocks read, one after the other; fills all of r (residual, prediction minus
+#: measured) and of H (dr/dx in tangent coordinates), which come filled with NaN. A status other than 0 names a geometry failure.
+SENSOR_KERNEL = types.int64(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
+
+#: ``status = kernel(p, t, u, x, x_next, F, Q)``: one interval from time t. u has one row
+#: per sub-interval: its length in seconds, then the inputs that hold in it. Fills all of
+#: x_next (stored values of the advanced blocks), F (their sensitivity to all blocks read) and Q.
+DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX)
+
+
+@cache
+def _digest(folder: Path) -> str:
+    """Digest of the sources in `folder` and below that hold compiled code."""
+    sha = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        text = path.read_bytes()
+        if b"@jit" in text:
+            sha.update(path.name.encode() + b"\0" + text)
+    return sha.hexdigest()
+
+
+def cache_folder(source: str) -> Path:
+    """Where the compiled code of the source file `source` is kept.
+
+    ``RELNAV_CACHE_DIR``, else ``XDG_CACHE_HOME``, else ``~/.cache``; below it a folder
+    named after everything that the machine code depends on.
+    """
+    root = os.environ.get("RELNAV_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    base = Path(root) if root else Path.home() / ".cache"
+    folders = {Path(__file__).parent, Path(source).resolve().parent}
+    key = "".join(_digest(folder) for folder in sorted(folders))
+    key += f"{numba.__version__} {sys.version_info[:2]}"
+    return base / "relnav_graph" / hashlib.sha256(key.encode()).hexdigest()[:16]
+
+
+def _compile(function: F, *signature: Any) -> F:
+    configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
+    numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
+    try:
+        return numba.njit(*signature, cache=True)(function)  # type: ignore[no-any-return]
+    except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
+        return numba.njit(*signature)(function)  # type: ignore[no-any-return]
+    finally:
+        numba.config.CACHE_DIR = configured
+
+
+def jit(function: F) -> F:
+    """Compile `function` at its first call; for kernels and for what they call."""
+    return _compile(function)
+
+
+class _Pointer(types.WrapperAddressProtocol):  # type: ignore[misc]
+    """A compiled function as a first-class value whose address is looked up once only.
+
+    Given the dispatcher itself, numba looks the address up at each call, for 70 us.
+    """
+
+    def __init__(self, function: Any, signature: Any) -> None:
+        self._signature = signature
+        self._keep_alive = function
+        self._address = _get_wrapper_address(function, signature)
+
+    def __wrapper_address__(self) -> int:
+        return self._address  # type: ignore[no-any-return]
+
+    def signature(self) -> Any:
+        return self._signature
+
+
+@cache
+def sensor_pointer(kernel: Any) -> Any:
+    """A sensor's kernel as an argument for the loops of :func:`jit_as`."""
+    return _Pointer(kernel, SENSOR_KERNEL)
+
+
+@cache
+def dynamics_pointer(kernel: Any) -> Any:
+    """A process model's kernel as an argument for the loops of :func:`jit_as`."""
+    return _Pointer(kernel, DYNAMICS_KERNEL)
+
+
+def jit_as(*arguments: Any) -> Callable[[F], F]:
+    """Compile at the first call, for exactly these numba argument types, returning nothing.
+
+    For the generic loops: an argument that is a kernel has the type
+    ``types.FunctionType(SENSOR_KERNEL)``, so that one compiled loop serves every kernel.
+    Calls skip numba's dispatch: arrays must be of the type and layout declared.
+    """
+
+    def decorate(function: F) -> F:
+        @cache
+        def entry() -> Any:
+            (compiled,) = _compile(function, types.void(*arguments)).overloads.values()  # type: ignore[attr-defined]
+            return compiled.entry_point
+
+        @wraps(function)
+        def call(*values: Any) -> None:
+            entry()(*values)
+
+        return call  # type: ignore[return-value]
+
+    return decorate

@@ -1,0 +1,204 @@
+"""Errors of a track against truth, and their normalised squares.
+
+Errors are tangent vectors from the estimate to the truth, in the coordinates of the
+covariances: ``Log(R_est^T R_true)`` for an attitude, truth minus estimate for a vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from relnav_graph.errors import InputError
+from relnav_graph.models import Derived
+from relnav_graph.state import Block
+from relnav_graph.track import Track, Truth
+
+__all__ = [
+    "StateErrors",
+    "StateEstimates",
+    "chi2_band",
+    "deviations",
+    "errors",
+    "estimates",
+    "finite",
+    "joint",
+    "mean_nees",
+    "nees",
+]
+
+Array = NDArray[np.float64]
+Band = tuple[float, float]
+
+#: Truth and estimate are of one epoch when their times differ by less than this, s.
+_SAME_TIME = 1e-6
+#: An eigenvalue of a correlation matrix below this fraction of the largest is rounding:
+#: rank deficiency leaves about 1e-16, the strongest real correlations 1e-10.
+_RANK = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class StateEstimates:
+    """One state over a pass: value (N, 3, 3) or (N, dim), P (N, dim, dim), SI."""
+
+    block: Block
+    value: Array
+    P: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StateErrors:
+    """One state where truth knows it: t (N,) s, e (N, dim) and P (N, dim, dim), SI."""
+
+    block: Block
+    t: Array
+    e: Array
+    P: Array
+
+    def where(self, mask: NDArray[np.bool_]) -> StateErrors:
+        """The epochs of a mask (N,)."""
+        return StateErrors(self.block, self.t[mask], self.e[mask], self.P[mask])
+
+
+def finite(*arrays: Array) -> NDArray[np.bool_]:
+    """Which rows are finite in all arrays (N, ...)."""
+    rows = np.ones(len(arrays[0]), dtype=np.bool_)
+    for a in arrays:
+        rows &= np.isfinite(a).all(axis=tuple(range(1, a.ndim)))
+    return rows
+
+
+def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
+    """Value and Jacobian (N, dim, n) at N epochs; NaN where an argument is not finite."""
+    block, n = quantity.block, len(x[0])
+    value = np.full((n, block.size), np.nan)
+    jacobian = np.full((n, block.dim, sum(b.dim for b in quantity.reads)), np.nan)
+    for k in np.flatnonzero(finite(*x)):
+        one, jacobian[k] = quantity.value(*(a[k] for a in x))
+        value[k] = one.reshape(-1)
+    return block.unpack(value), jacobian
+
+
+def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstimates]:
+    """Every block of the track, and every derived quantity that its blocks give.
+
+    A derived quantity with the name of a block is left out: the block is the estimate.
+    """
+    layout = track.layout
+    found = {
+        b.name: StateEstimates(b, track.value(b.name), track.covariance(b.name)) for b in layout
+    }
+    for quantity in derived:
+        # The blocks, not only their names: a position in another frame is another block.
+        if quantity.block.name in layout or not set(quantity.reads) <= set(layout.blocks):
+            continue
+        value, jacobian = _evaluate(quantity, [track.value(b.name) for b in quantity.reads])
+        _, index = layout.gather(quantity.reads)
+        P = jacobian @ track.P[:, index[:, None], index] @ jacobian.transpose(0, 2, 1)
+        found[quantity.block.name] = StateEstimates(quantity.block, value, P)
+    return found
+
+
+def _truth_at(t: Array, truth: Truth, derived: Sequence[Derived]) -> dict[str, Array]:
+    """True values at times t (N,), by name. Raises InputError on a time truth lacks."""
+    padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
+    right = np.searchsorted(truth.t, t) + 1
+    nearest = np.where(t - padded[right - 1] <= padded[right] - t, right - 1, right)
+    missing = np.abs(padded[nearest] - t) > _SAME_TIME
+    if missing.any():
+        raise InputError(f"truth {truth.source!r}: no epoch at {t[missing][0]} s")
+    values = {}
+    for name, value in truth.values.items():
+        if len(value) != len(truth.t):
+            raise InputError(f"truth of {name!r}: {len(value)} values at {len(truth.t)} times")
+        values[name] = np.ascontiguousarray(value[nearest - 1], dtype=np.float64)
+    for quantity in derived:
+        names = [b.name for b in quantity.reads]
+        if quantity.block.name not in values and all(n in truth.values for n in names):
+            values[quantity.block.name] = _evaluate(quantity, [values[n] for n in names])[0]
+    return values
+
+
+def deviations(
+    states: Mapping[str, StateEstimates], t: Array, truth: Truth, derived: Sequence[Derived]
+) -> dict[str, StateErrors]:
+    """:func:`errors` of estimates already at hand, at times t (N,)."""
+    known = _truth_at(t, truth, derived)
+    found = {}
+    for name, state in states.items():
+        if name not in known:
+            continue
+        true, block = known[name], state.block
+        if true.shape != state.value.shape:
+            raise InputError(f"truth of {name!r}: {true.shape}, expected {state.value.shape}")
+        keep = finite(true)
+        pairs = zip(state.value[keep], true[keep], strict=True)
+        e = np.array([block.local(a, b) for a, b in pairs]).reshape(-1, block.dim)
+        found[name] = StateErrors(block, t[keep], e, state.P[keep])
+    return found
+
+
+def errors(track: Track, truth: Truth, derived: Sequence[Derived]) -> dict[str, StateErrors]:
+    """Errors of every block and derived quantity that truth knows, at its epochs.
+
+    The truth of a derived quantity follows from true blocks where it is not given. Epochs
+    where truth is NaN are left out. Raises InputError when truth lacks a time of the
+    track (within a microsecond) or has values of the wrong shape.
+    """
+    return deviations(estimates(track, derived), track.t, truth, derived)
+
+
+def joint(found: Iterable[StateErrors], track: Track) -> tuple[Array, Array]:
+    """Errors and joint covariance of all known blocks, where truth knows them all."""
+    blocks = [s for s in found if s.block.name in track.layout]
+    if not blocks:
+        return np.zeros((0, 1)), np.zeros((0, 1, 1))
+    common = reduce(np.intersect1d, [s.t for s in blocks])
+    _, index = track.layout.gather(s.block for s in blocks)
+    e = np.hstack([s.e[np.isin(s.t, common)] for s in blocks])
+    return e, track.P[np.isin(track.t, common)][:, index[:, None], index]
+
+
+def nees(e: Array, P: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Normalised error squared ``e^T P^+ e`` (N,) and the rank of P (N,).
+
+    The inverse is taken on the range of the correlation matrix, so that units do not
+    decide the rank, and quantities bound by a constraint (three inertia ratios of two
+    parameters) count with their true number of freedoms. NaN where e or P is not finite
+    or P is not a covariance.
+    """
+    value, rank = np.full(len(e), np.nan), np.zeros(len(e), dtype=np.int64)
+    ok = finite(e, P)
+    variance = np.diagonal(P[ok], axis1=1, axis2=2)
+    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
+    w, V = np.linalg.eigh(P[ok] / scale[:, :, None] / scale[:, None, :])
+    keep = w > _RANK * w[:, -1:]
+    y = np.einsum("kij,ki->kj", V, e[ok] / scale)
+    total = np.where(keep, y**2 / np.where(keep, w, 1.0), 0.0).sum(axis=1)
+    broken = (variance < 0).any(axis=1) | (w[:, 0] < -1e-9) | ~keep.any(axis=1)
+    value[ok], rank[ok] = np.where(broken, np.nan, total), keep.sum(axis=1)
+    return value, rank
+
+
+def chi2_band(n: int, runs: int = 1) -> Band:
+    """95 % band of ANEES for n freedoms and independent runs: chi2(n N) / (n N)."""
+    freedoms = n * runs
+    low, high = chdtri(freedoms, 0.975), chdtri(freedoms, 0.025)  # of the upper tail
+    return float(low) / freedoms, float(high) / freedoms
+
+
+def mean_nees(e: Array, P: Array, runs: int = 1) -> tuple[float | None, Band | None]:
+    """ANEES, mean NEES / rank over epochs, and its band for so many independent runs.
+
+    The band counts runs alone: epochs of one run are correlated. None without a finite
+    value, or without epochs.
+    """
+    value, rank = nees(e, P)
+    if not len(value) or not np.isfinite(value).all():
+        return None, None
+    return float(np.mean(value / rank)), chi2_band(int(rank.max()), runs)

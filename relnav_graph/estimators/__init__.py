@@ -1,0 +1,36 @@
+"""Estimators, found by `kind`: each is ``run(problem) -> Track``."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol, runtime_checkable
+
+from threadpoolctl import threadpool_limits
+
+from relnav_graph.problem import Problem
+from relnav_graph.registry import find_class
+from relnav_graph.track import Track
+
+__all__ = ["GROUP", "Estimator", "run_estimator"]
+
+GROUP = "relnav_graph.estimators"
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """What every estimator offers; the online ones also have ``step(epoch)``."""
+
+    kind: ClassVar[str]
+
+    def run(self, problem: Problem) -> Track:
+        """Estimate the whole pass. Raises EstimationError when that is impossible."""
+
+
+def run_estimator(kind: str, problem: Problem) -> Track:
+    """Run an estimator of a kind, or of ``"module:Class"``, on one thread.
+
+    Threads only slow the small matrices of an epoch down. Raises ModelError on an unknown
+    kind, EstimationError when no estimate is possible.
+    """
+    estimator: Estimator = find_class(GROUP, kind)()
+    with threadpool_limits(1, "blas"):
+        return estimator.run(problem)

@@ -1,0 +1,209 @@
+"""Error-state extended Kalman filter, plain and with iterated updates."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from relnav_graph.assembly import Assembly, MeasurementRows
+from relnav_graph.errors import EstimationError
+from relnav_graph.estimators.gating import count_rejected, innovation_weights
+from relnav_graph.problem import Epoch, Problem
+from relnav_graph.state import Layout
+from relnav_graph.track import Status, Track
+
+__all__ = ["Ekf", "FilterStep", "IteratedEkf", "KalmanFilter", "update"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FilterStep:
+    """One epoch of a filter: predicted and updated state, F since the epoch before (None
+    at the first), the weights of the epoch's observations and how many each sensor lost."""
+
+    t: float
+    x_predicted: Array
+    P_predicted: Array
+    F: Array | None
+    x: Array
+    P: Array
+    weights: Array
+    rejected: Mapping[str, int]
+
+
+def symmetric(P: Array) -> Array:
+    """P without the asymmetry of rounding."""
+    return 0.5 * (P + P.T)
+
+
+def _cost(layout: Layout, x0: Array, whiten: Array, x: Array, rows: MeasurementRows) -> float:
+    e = whiten @ layout.local(x0, x)
+    return float(e @ e + rows.r @ rows.r)
+
+
+def update(
+    assembly: Assembly, x0: Array, P0: Array, weights: Array, iterations: int
+) -> tuple[Array, Array]:
+    """Measurement update of one epoch: the state and the covariance, in Joseph's form.
+
+    One iteration is the extended Kalman filter; more are Gauss-Newton steps towards the
+    maximum a posteriori (Bell and Cathey 1993), halved while the cost grows. P is in the
+    tangent of the updated state.
+    """
+    layout = assembly.layout
+    scale = np.sqrt(np.diag(P0))
+    factor = np.linalg.cholesky(P0 / np.outer(scale, scale))
+    whiten = solve_triangular(factor, np.diag(1 / scale), lower=True)
+    x, x_next = x0, x0
+    rows = assembly.measure(x0[None], weights)
+    cost = _cost(layout, x0, whiten, x0, rows)
+    gain = H = np.zeros((0, 0))
+    for iteration in range(iterations):
+        e = layout.local(x0, x)
+        J_inverse = layout.right_jacobian(e)
+        H = rows.H @ J_inverse  # to perturbations in the tangent of x0
+        S = H @ P0 @ H.T + np.eye(len(rows.r))
+        gain = np.linalg.solve(S, H @ P0).T
+        step = J_inverse @ (-gain @ (rows.r - H @ e) - e)
+        if iterations == 1:
+            x_next = layout.retract(x, step)
+            break
+        for _ in range(10):
+            x_next = layout.retract(x, step)
+            rows_next = assembly.measure(x_next[None], weights)
+            cost_next = _cost(layout, x0, whiten, x_next, rows_next)
+            if cost_next <= cost * (1 + 1e-9) + 1e-9:
+                break
+            step = 0.5 * step
+        small = float(np.sum((whiten @ step) ** 2)) < 1e-12 or abs(cost - cost_next) < 1e-9
+        x, rows, cost = x_next, rows_next, cost_next
+        if small and iteration:
+            break
+    left = np.eye(layout.dim) - gain @ H
+    P = left @ P0 @ left.T + gain @ gain.T
+    J = layout.right_jacobian(layout.local(x0, x_next))
+    return x_next, symmetric(J @ P @ J.T)
+
+
+class KalmanFilter:
+    """The filter's machinery: one `step` per epoch."""
+
+    def __init__(self, problem: Problem, iterations: int) -> None:
+        self.problem, self.iterations = problem, iterations
+        self.t: float | None = None
+        self.x, self.P = problem.prior.x, problem.prior.P
+
+    def step(self, epoch: Epoch) -> FilterStep:
+        """Predict to the epoch and update with its measurements.
+
+        Raises EstimationError when the state or its covariance is no longer finite; the
+        filter then stands where it stood before.
+        """
+        problem = self.problem
+        assembly = Assembly(
+            problem.layout, problem.processes, problem.sensors, [epoch], t_before=self.t
+        )
+        x, P, F = self.x, self.P, None
+        if self.t is not None:
+            x_next, all_F, all_Q = assembly.transition(x[None])
+            x, F = x_next[0], all_F[0]
+            P = symmetric(F @ P @ F.T + all_Q[0])
+        x_predicted, P_predicted = x, P
+        weights = np.ones(assembly.observations)
+        if assembly.observations:
+            rows = assembly.measure(x[None], weights)
+            weights = innovation_weights(assembly, rows, P, problem.gates)
+            try:
+                x, P = update(assembly, x, P, weights, self.iterations)
+            except np.linalg.LinAlgError as error:
+                raise EstimationError(f"t = {epoch.t} s: {error}") from error
+        if not (np.isfinite(x).all() and np.isfinite(P).all()):
+            raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
+        self.t, self.x, self.P = epoch.t, x, P
+        rejected = count_rejected(assembly, weights)
+        return FilterStep(epoch.t, x_predicted, P_predicted, F, x, P, weights, rejected)
+
+
+def add_counts(counts: list[Mapping[str, int]], sensors: Mapping[str, object]) -> dict[str, int]:
+    """Sum of counts by sensor, every sensor named."""
+    return {name: sum(c.get(name, 0) for c in counts) for name in sensors}
+
+
+def judge(rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
+    """Degraded when a sensor lost more than half of its observations."""
+    seen: dict[str, int] = {}
+    for epoch in problem.epochs:
+        for m in epoch.measurements:
+            seen[m.sensor] = seen.get(m.sensor, 0) + len(m.z)
+    for name, count in rejected.items():
+        if count > 0.5 * seen.get(name, 0):
+            return "degraded", f"{count} of {seen.get(name, 0)} observations of {name} rejected"
+    return "ok", ""
+
+
+def filter_pass(problem: Problem, iterations: int) -> tuple[list[FilterStep], list[float], str]:
+    """All steps, the time of each in s, and why the filter stopped early (or "")."""
+    kalman = KalmanFilter(problem, iterations)
+    steps, seconds = [], []
+    for epoch in problem.epochs:
+        start = time.perf_counter()
+        try:
+            steps.append(kalman.step(epoch))
+        except EstimationError as error:
+            return steps, seconds, str(error)
+        seconds.append(time.perf_counter() - start)
+    return steps, seconds, ""
+
+
+def nan_tail(values: list[Array], count: int, shape: tuple[int, ...]) -> Array:
+    """(count, *shape): the values, then NaN for the epochs that were never reached."""
+    out = np.full((count, *shape), np.nan)
+    if values:
+        out[: len(values)] = values
+    return out
+
+
+@dataclass(frozen=True)
+class Ekf:
+    """Extended Kalman filter: error state on the manifold, Joseph's covariance update.
+
+    iterations: Gauss-Newton steps of each measurement update.
+    """
+
+    kind: ClassVar[str] = "ekf"
+    iterations: int = 1
+
+    def run(self, problem: Problem) -> Track:
+        """Filter the whole pass."""
+        steps, seconds, stopped = filter_pass(problem, self.iterations)
+        n, size = problem.layout.dim, problem.layout.size
+        rejected = add_counts([s.rejected for s in steps], problem.sensors)
+        status, message = ("diverged", stopped) if stopped else judge(rejected, problem)
+        return Track(
+            name=self.kind,
+            kind="filtered",
+            layout=problem.layout,
+            t=problem.times,
+            x=nan_tail([s.x for s in steps], len(problem.epochs), (size,)),
+            P=nan_tail([s.P for s in steps], len(problem.epochs), (n, n)),
+            status=status,  # type: ignore[arg-type]
+            message=message,
+            runtime_s=sum(seconds),
+            step_s=np.array(seconds),
+            rejected=rejected,
+        )
+
+
+@dataclass(frozen=True)
+class IteratedEkf(Ekf):
+    """The same filter with updates iterated to convergence."""
+
+    kind: ClassVar[str] = "iekf"
+    iterations: int = field(default=20)

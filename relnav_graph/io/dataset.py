@@ -1,0 +1,334 @@
+"""Data sets: a folder with a scenario, one table per sensor and input, and maybe truth.
+
+::
+
+    scenario.toml         the scenario
+    epochs.csv            t_s; optional, else the times of the measurements
+    <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s
+    <input>.csv           t_start_s, t_end_s, the columns of `INPUT_COLUMNS`
+    truth_<block>.csv     t_s, the columns of `component_columns`; optional
+    dataset.toml          format, settings that the data bring, digests; optional
+
+Units are SI and stand in the names of the columns; one row is one observation, in order
+of time. An input may have one column ``t_s`` in place of two: a row is then the mean
+since the row before, and the first row only says when the first interval starts. A table
+may be Parquet instead. A folder made by hand needs no ``dataset.toml``; where there is
+one, every table that it lists must still be as it was written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from relnav_graph import __version__
+from relnav_graph.errors import InputError
+from relnav_graph.io.atomic import atomic
+from relnav_graph.io.tables import (
+    Format,
+    Table,
+    component_columns,
+    from_components,
+    read_table,
+    to_components,
+    write_table,
+)
+from relnav_graph.models import Measurement, Sensor
+from relnav_graph.problem import InputSeries
+from relnav_graph.recording import Recording
+from relnav_graph.state import Block
+from relnav_graph.track import Truth
+
+__all__ = ["INPUT_COLUMNS", "read_dataset", "read_scenario_of", "write_dataset"]
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, NDArray[Any]]
+
+#: Channels of the known inputs: the rate w_ci_c and a velocity, both in chaser axes.
+INPUT_COLUMNS: dict[str, tuple[str, ...]] = {
+    "gyro": ("wx_rad_s", "wy_rad_s", "wz_rad_s"),
+    "velocity": ("vx_m_s", "vy_m_s", "vz_m_s"),
+}
+
+_FORMAT = 1
+#: Measurements this close to an epoch, s, belong to it (as in `problem.make_epochs`).
+_SAME_TIME = 1e-6
+_UNIT_QUATERNION = 1e-6
+
+
+def _need_table(folder: Path, stem: str) -> Table:
+    table = read_table(folder, stem)
+    if table is None:
+        here = ", ".join(sorted(p.name for p in folder.iterdir())) or "nothing"
+        raise InputError(f"{folder}: no table {stem}.csv or {stem}.parquet; found {here}")
+    return table
+
+
+def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
+    """One measurement per time of a sensor's table."""
+    table.require(("t_s", "id", *sensor.columns), optional=("t_arrival_s",))
+    table.increasing("t_s", strictly=False)
+    t, raw_ids, z = table["t_s"], table["id"], table.stack(sensor.columns)
+    table.refuse(raw_ids != np.rint(raw_ids), "id", "a whole number")
+    ids = raw_ids.astype(np.int64)
+    order = np.lexsort((ids, t))
+    repeated = np.zeros(len(t), dtype=bool)
+    repeated[order[1:]] = (np.diff(t[order]) == 0) & (np.diff(ids[order]) == 0)
+    table.refuse(repeated, "id", "an id once at each time: a duplicate")
+    first = np.diff(t, prepend=-np.inf) > 0
+    arrival = table.columns.get("t_arrival_s")
+    if arrival is not None:
+        same = np.concatenate(([True], arrival[1:] == arrival[:-1]))
+        table.refuse(~(first | same), "t_arrival_s", "the same for all rows of one time")
+    edges = np.append(np.nonzero(first)[0], len(t))
+    return [
+        Measurement(name, t[i], z[i:j], ids[i:j], None if arrival is None else arrival[i])
+        for i, j in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    ]
+
+
+def _channels(name: str) -> tuple[str, ...]:
+    if name not in INPUT_COLUMNS:
+        raise InputError(f"unknown input {name!r}; known are {', '.join(INPUT_COLUMNS)}")
+    return INPUT_COLUMNS[name]
+
+
+def _input(folder: Path, name: str) -> InputSeries:
+    channels, table = _channels(name), _need_table(folder, name)
+    if "t_s" in table.columns:
+        table.require(("t_s", *channels))
+        table.increasing("t_s")
+        t, values = table["t_s"], table.stack(channels)
+        return InputSeries(name, t[:-1], t[1:], values[1:])
+    table.require(("t_start_s", "t_end_s", *channels))
+    t_start, t_end = table["t_start_s"], table["t_end_s"]
+    table.increasing("t_start_s")
+    table.refuse(t_end <= t_start, "t_end_s", "a time after t_start_s")
+    overlap = np.concatenate(([False], t_start[1:] < t_end[:-1] - 1e-9))
+    table.refuse(overlap, "t_start_s", "a time not before t_end_s of the row above")
+    return InputSeries(name, t_start, t_end, table.stack(channels))
+
+
+def _truth(folder: Path, blocks: Mapping[str, Block], source: str) -> Truth | None:
+    """Truth of those of `blocks` that have a table, at all times that any of them has."""
+    found: dict[str, tuple[Array, Array]] = {}
+    for name, block in blocks.items():
+        table = read_table(folder, f"truth_{name}")
+        if table is None:
+            continue
+        columns = component_columns(block)
+        table.require(("t_s", *columns))
+        table.increasing("t_s")
+        components = table.stack(columns)
+        if block.manifold == "SO3":
+            norm = np.linalg.norm(components, axis=1)
+            table.refuse(np.abs(norm - 1) > _UNIT_QUATERNION, "q_w", "a quaternion of length one")
+        found[name] = table["t_s"], from_components(block, components)
+    if not found:
+        return None
+    times = np.unique(np.concatenate([t for t, _ in found.values()]))
+    values = {}
+    for name, (t, known) in found.items():
+        values[name] = np.full((len(times), *known.shape[1:]), np.nan)
+        values[name][np.searchsorted(times, t)] = known
+    return Truth(times, values, source)
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    """``dataset.toml``, after a check of all that it lists; {} when there is none."""
+    path = folder / "dataset.toml"
+    if not path.exists():
+        return {}
+    manifest = _read_toml(path)
+    if manifest.get("format") != _FORMAT:
+        raise InputError(f"{path}: found format {manifest.get('format')}, expected {_FORMAT}")
+    settings, digests = manifest.get("settings", {}), manifest.get("sha256")
+    if not isinstance(digests, dict) or not isinstance(settings, dict):
+        raise InputError(f"{path}: expected tables [settings] and [sha256]")
+    if digests.pop("settings", None) != _digest(tomli_w.dumps(settings).encode()):
+        raise InputError(f"{path}: [settings] changed since it was written")
+    for name, digest in digests.items():
+        if not (folder / name).is_file():
+            raise InputError(f"{folder / name}: missing, though dataset.toml lists it")
+        if _digest((folder / name).read_bytes()) != digest:
+            raise InputError(
+                f"{folder / name}: truncated or changed since it was written; if on purpose,"
+                " take its line out of dataset.toml"
+            )
+    return manifest
+
+
+def read_scenario_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """The scenario of a data set, as tables. Raises InputError without a valid one."""
+    return _read_toml(Path(folder) / "scenario.toml")
+
+
+def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement]) -> Array:
+    """Times of the epochs; every observation must fall on one."""
+    epochs = read_table(folder, "epochs")
+    if epochs is None:
+        times = np.array([m.t for m in measurements])
+        times = times[np.diff(times, prepend=-np.inf) > _SAME_TIME]
+    else:
+        epochs.require(("t_s",))
+        epochs.increasing("t_s")
+        times = epochs["t_s"]
+    if not len(times):
+        raise InputError(f"{folder}: no epochs: neither epochs.csv nor an observation has any row")
+    for table in tables:
+        t = table["t_s"]
+        right = np.searchsorted(times, t)
+        left, right = np.maximum(right - 1, 0), np.minimum(right, len(times) - 1)
+        apart = np.minimum(np.abs(times[left] - t), np.abs(times[right] - t))
+        table.refuse(apart > _SAME_TIME, "t_s", "the time of an epoch")
+    return times
+
+
+def read_dataset(
+    folder: str | os.PathLike[str],
+    sensors: Mapping[str, Sensor],
+    inputs: Iterable[str],
+    blocks: Mapping[str, Block],
+) -> Recording:
+    """The recording in a folder: tables of the named sensors and inputs, truth of `blocks`.
+
+    Other tables are left alone. Observations of one sensor at one time make one
+    measurement. Raises InputError, naming file, line, column, what was found and what was
+    expected, on a table that is missing, damaged or has other columns, on text, NaN, times
+    that run backwards or fall between epochs, and observations that occur twice.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    manifest = _manifest(folder)
+    tables = {name: _need_table(folder, name) for name in sensors}
+    measurements = [m for n, s in sensors.items() for m in _measurements(tables[n], n, s)]
+    measurements.sort(key=lambda m: m.t)
+    times = _epochs(folder, tables.values(), measurements)
+    series = {name: _input(folder, name) for name in inputs}
+    truth = _truth(folder, blocks, manifest.get("truth_source", ""))
+    return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
+
+
+def _sensor_columns(name: str, sensor: Sensor, measurements: Iterable[Measurement]) -> Columns:
+    """The table of a sensor: a row per observation, in order of time."""
+    own = sorted((m for m in measurements if m.sensor == name), key=lambda m: m.t)
+    for m in own:
+        if m.z.shape[1] != len(sensor.columns):
+            raise InputError(
+                f"sensor {name!r} at t = {m.t} s: z has {m.z.shape[1]} columns,"
+                f" expected {', '.join(sensor.columns)}"
+            )
+    counts = [len(m.z) for m in own]
+    z = np.concatenate([np.zeros((0, len(sensor.columns))), *(m.z for m in own)])
+    columns: dict[str, NDArray[Any]] = {
+        "t_s": np.repeat([m.t for m in own], counts),
+        "id": np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for m in own)]),
+        **dict(zip(sensor.columns, z.T, strict=True)),
+    }
+    if any(m.t_arrival is not None for m in own):
+        arrival = [m.t if m.t_arrival is None else m.t_arrival for m in own]
+        columns["t_arrival_s"] = np.repeat(arrival, counts)
+    return columns
+
+
+def _truth_columns(block: Block, truth: Truth) -> Columns:
+    """The table of a true block: the rows where it is known."""
+    values = truth.values[block.name]
+    known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    components = to_components(block, values[known])
+    names = component_columns(block)
+    return {"t_s": truth.t[known], **dict(zip(names, components.T, strict=True))}
+
+
+def _tables(
+    recording: Recording, sensors: Mapping[str, Sensor], blocks: Mapping[str, Block]
+) -> dict[str, Columns]:
+    """All tables of a data set, by name."""
+    for m in recording.measurements:
+        if m.sensor not in sensors:
+            raise InputError(f"t = {m.t} s: unknown sensor {m.sensor!r}; known: {list(sensors)}")
+    tables: list[tuple[str, Columns]] = [("epochs", {"t_s": recording.times})]
+    for name, sensor in sensors.items():
+        tables.append((name, _sensor_columns(name, sensor, recording.measurements)))
+    for name, series in recording.inputs.items():
+        channels = dict(zip(_channels(name), series.values.T, strict=True))
+        tables.append((name, {"t_start_s": series.t_start, "t_end_s": series.t_end, **channels}))
+    truth = recording.truth or Truth(np.zeros(0), {})
+    for name in truth.values:
+        if name not in blocks:
+            raise InputError(f"truth of {name!r}, which is no known block: {list(blocks)}")
+        tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
+    names = [name for name, _ in tables]
+    for name in names:
+        if names.count(name) > 1 or not re.fullmatch(r"\w[\w.+-]*", name):
+            raise InputError(f"{name!r} cannot name a table: taken twice, or no name of a file")
+    return dict(tables)
+
+
+def _is_dataset(folder: Path) -> bool:
+    """Whether all that a folder holds was written by :func:`write_dataset`."""
+    path = folder / "dataset.toml"
+    if not path.is_file():
+        return False
+    own = {"dataset.toml", "scenario.toml", *_read_toml(path).get("sha256", {})}
+    return all(p.name in own for p in folder.iterdir())
+
+
+def write_dataset(
+    folder: str | os.PathLike[str],
+    scenario: Mapping[str, Any],
+    recording: Recording,
+    sensors: Mapping[str, Sensor],
+    blocks: Mapping[str, Block],
+    tables: Format = "csv",
+) -> None:
+    """Write a recording and its scenario as a data set; reading gives the same numbers.
+
+    blocks: definitions of the blocks of the truth. A data set that stands in `folder` is
+    replaced; InputError when anything else stands there, when nothing can be written, or
+    when the recording has a sensor, input or truth that is not known.
+    """
+    folder = Path(folder)
+    if folder.is_dir() and any(folder.iterdir()) and not _is_dataset(folder):
+        raise InputError(f"{folder}: holds files that are not of a data set; name another folder")
+    contents = _tables(recording, sensors, blocks)
+    settings = dict(recording.settings)
+    with atomic(folder) as staged:
+        staged.mkdir()
+        digests = {"settings": _digest(tomli_w.dumps(settings).encode())}
+        for name, columns in contents.items():
+            path = staged / f"{name}.{tables}"
+            write_table(path, columns)
+            digests[path.name] = _digest(path.read_bytes())
+        manifest = {
+            "format": _FORMAT,
+            "writer": f"relnav-graph {__version__}",
+            "truth_source": recording.truth.source if recording.truth else "",
+            "settings": settings,
+            "sha256": digests,
+        }
+        (staged / "scenario.toml").write_text(tomli_w.dumps(scenario), "utf-8")
+        (staged / "dataset.toml").write_text(tomli_w.dumps(manifest), "utf-8")

@@ -1,0 +1,195 @@
+"""Tables of numbers in CSV or Parquet, read with errors that say where and what.
+
+Numbers are written so that reading gives the same bits.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.errors import InputError
+from relnav_graph.state import Block
+
+__all__ = [
+    "Format",
+    "Table",
+    "component_columns",
+    "from_components",
+    "read_table",
+    "to_components",
+    "write_table",
+]
+
+Array = NDArray[np.float64]
+Format = Literal["csv", "parquet"]
+
+
+def component_columns(block: Block) -> tuple[str, ...]:
+    """Names of the columns of a block: ``q_w`` to ``q_z`` for an attitude (Hamilton,
+    scalar first), ``x_m``, ``y_m``, ``z_m`` for three components, else ``1_m``, ..."""
+    if block.manifold == "SO3":
+        return ("q_w", "q_x", "q_y", "q_z")
+    unit = re.sub(r"[^\w]+", "", re.sub(r"[/*]", "_", block.unit))
+    axes = "xyz" if block.dim == 3 else [str(i + 1) for i in range(block.dim)]
+    return tuple(f"{axis}_{unit}" for axis in axes)
+
+
+def to_components(block: Block, values: Array) -> Array:
+    """Values (N, 3, 3) or (N, dim) as quaternions (N, 4) with w >= 0, or unchanged."""
+    if block.manifold != "SO3":
+        return np.asarray(values, dtype=np.float64)
+    matrices = np.ascontiguousarray(values, dtype=np.float64)
+    return np.array([so3.quaternion(matrix) for matrix in matrices]).reshape(-1, 4)
+
+
+def from_components(block: Block, components: Array) -> Array:
+    """The inverse of :func:`to_components`; quaternions are normalised."""
+    if block.manifold != "SO3":
+        return components
+    quaternions = np.ascontiguousarray(components, dtype=np.float64)
+    return np.array([so3.from_quaternion(q) for q in quaternions]).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Finite columns of one file, and the line that each row stands in."""
+
+    path: Path
+    columns: Mapping[str, Array]
+    lines: NDArray[np.int64]
+
+    def __getitem__(self, column: str) -> Array:
+        return self.columns[column]
+
+    def stack(self, columns: Sequence[str]) -> Array:
+        """Some columns side by side, (rows, len(columns))."""
+        return np.column_stack([self[c] for c in columns])
+
+    def refuse(self, bad: NDArray[np.bool_], column: str, expected: str) -> None:
+        """Raise InputError at the first bad row, if there is one."""
+        rows = np.nonzero(bad)[0]
+        if len(rows):
+            found = self[column][rows[0]]
+            more = f" ({len(rows)} such rows)" if len(rows) > 1 else ""
+            raise InputError(
+                f"{self.path}, line {self.lines[rows[0]]}, column {column}: found {found!s},"
+                f" expected {expected}{more}"
+            )
+
+    def require(self, columns: Sequence[str], optional: Sequence[str] = ()) -> None:
+        """Raise InputError unless the table has just these columns."""
+        missing = [c for c in columns if c not in self.columns]
+        unknown = [c for c in self.columns if c not in (*columns, *optional)]
+        for what, names in (("no", missing), ("unknown", unknown)):
+            if names:
+                raise InputError(
+                    f"{self.path}, line 1: {what} column {names[0]!r};"
+                    f" found {', '.join(self.columns)}; expected {', '.join(columns)}"
+                )
+
+    def increasing(self, column: str, strictly: bool = True) -> None:
+        """Raise InputError where a time is not after (or is before) the row above."""
+        step = np.diff(self[column], prepend=-np.inf)
+        bad = step <= 0 if strictly else step < 0
+        self.refuse(bad, column, f"a time {'after' if strictly else 'not before'} the row above")
+
+
+def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Lines with something on them, and their numbers."""
+    try:
+        reader = csv.reader(io.StringIO(path.read_text("utf-8-sig"), newline=""))
+        for row in reader:
+            if row:
+                yield reader.line_num, row
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a readable CSV table: {error}") from error
+
+
+def _read_csv(path: Path) -> Table:
+    rows = _csv_rows(path)
+    header = [name.strip() for name in next(rows, (0, []))[1]]
+    if not header or len(set(header)) < len(header):
+        raise InputError(f"{path}, line 1: found {header}, expected names of columns, once each")
+    lines, cells = [], []
+    for line, row in rows:
+        if len(row) != len(header):
+            raise InputError(f"{path}, line {line}: found {len(row)} of {len(header)} columns")
+        lines.append(line)
+        cells.append(row)
+    try:
+        values = np.array(cells, dtype=np.float64).reshape(-1, len(header))
+    except ValueError:
+        values = np.array([[_number(cell) for cell in row] for row in cells])
+        line, column = np.argwhere(np.isnan(values))[0]
+        raise InputError(
+            f"{path}, line {lines[line]}, column {header[column]}:"
+            f" found {cells[line][column]!r}, expected a number"
+        ) from None
+    columns = {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
+    return Table(path, columns, np.array(lines, dtype=np.int64))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+def _pyarrow() -> Any:
+    try:
+        import pyarrow.parquet  # an extra: most data sets are CSV
+    except ImportError as error:
+        raise InputError("Parquet tables need pyarrow: install relnav-graph[data]") from error
+    return pyarrow
+
+
+def _read_parquet(path: Path) -> Table:
+    pyarrow = _pyarrow()
+    try:
+        table = pyarrow.parquet.read_table(path)
+        columns = {
+            name: np.array(table.column(name).to_numpy(), dtype=np.float64)
+            for name in table.column_names
+        }
+    except (OSError, TypeError, ValueError, pyarrow.ArrowException) as error:
+        raise InputError(f"{path}: not a readable Parquet table of numbers: {error}") from error
+    # Numbered as the same table would be in CSV, below a line of names.
+    return Table(path, columns, np.arange(table.num_rows) + 2)
+
+
+def read_table(folder: Path, stem: str) -> Table | None:
+    """The table of that name, all numbers finite; None when there is none."""
+    found = [p for p in (folder / f"{stem}.csv", folder / f"{stem}.parquet") if p.exists()]
+    if len(found) > 1:
+        raise InputError(f"{folder}: found both {found[0].name} and {found[1].name}")
+    if not found:
+        return None
+    table = _read_csv(found[0]) if found[0].suffix == ".csv" else _read_parquet(found[0])
+    for name, values in table.columns.items():
+        table.refuse(~np.isfinite(values), name, "a finite number")
+    return table
+
+
+def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write columns of numbers, of equal length, as the suffix of `path` says."""
+    if path.suffix == ".parquet":
+        pyarrow = _pyarrow()
+        pyarrow.parquet.write_table(pyarrow.table(dict(columns)), path)
+        return
+    # repr is the shortest text that reads back as the same number.
+    texts = [map(repr, np.asarray(column).tolist()) for column in columns.values()]
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*texts, strict=True))

@@ -1,0 +1,247 @@
+"""Accuracy and consistency of tracks against truth, and the summary of a comparison.
+
+RMSE is a norm over the axes; NEES is judged by chi-square bands (Bar-Shalom, Li,
+Kirubarajan 2001, section 5.4). Errors and their signs: `relnav_graph.deviation`.
+"""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.deviation import (
+    Band,
+    StateErrors,
+    deviations,
+    errors,
+    estimates,
+    finite,
+    joint,
+    mean_nees,
+)
+from relnav_graph.errors import InputError
+from relnav_graph.models import Derived
+from relnav_graph.state import Block
+from relnav_graph.tables import table
+from relnav_graph.track import Kind, Track, Truth
+
+__all__ = [
+    "Score",
+    "StateErrors",
+    "StateScore",
+    "errors",
+    "estimates",
+    "improvement",
+    "require_same_kind",
+    "score",
+    "summary",
+    "table",
+    "with_smoothed",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StateScore:
+    """Scores of one state in table units; None where the track holds no finite number.
+
+    rmse: sqrt(mean |e|^2), a norm over the axes; rmse_last: the same at the last epoch;
+    sigma: sqrt(mean trace P); anees: mean NEES / rank; inside_3sigma: fraction of the
+    components within three sigma; t: epochs compared, s, empty where truth knows none
+    (then only unit and sigma mean something).
+    """
+
+    unit: str
+    sigma: float | None
+    t: Array = field(default_factory=lambda: np.zeros(0))
+    rmse: float | None = None
+    rmse_last: float | None = None
+    anees: float | None = None
+    anees_band: Band | None = None
+    inside_3sigma: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """Scores of a track; anees: of all blocks that truth knows, jointly."""
+
+    name: str
+    kind: Kind
+    states: Mapping[str, StateScore]
+    anees: float | None = None
+    anees_band: Band | None = None
+
+
+def _number(value: Any) -> float | None:
+    """A float for strict JSON: None instead of NaN and infinity."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _sigma(block: Block, P: Array) -> float | None:
+    return _number(block.table_scale * np.sqrt(np.trace(P, axis1=1, axis2=2).mean()))
+
+
+def _state_score(s: StateErrors, runs: int) -> StateScore:
+    scale = s.block.table_scale
+    squared = (s.e**2).sum(axis=1)
+    inside = np.abs(s.e) <= 3 * np.sqrt(np.diagonal(s.P, axis1=1, axis2=2))
+    anees, band = mean_nees(s.e, s.P, runs)
+    return StateScore(
+        unit=s.block.table_unit,
+        sigma=_sigma(s.block, s.P),
+        t=s.t,
+        rmse=_number(scale * np.sqrt(squared.mean())),
+        rmse_last=_number(scale * np.sqrt(squared[-1])),
+        anees=anees,
+        anees_band=band,
+        inside_3sigma=_number(inside.mean()) if finite(s.e, s.P).all() else None,
+    )
+
+
+def _window(t: Array, evaluate: tuple[float, float] | None) -> NDArray[np.bool_]:
+    """Epochs (N,) within fractions of the pass. Raises InputError when there are none."""
+    a, b = evaluate or (0.0, 1.0)
+    if not 0 <= a < b <= 1:
+        raise InputError(f"evaluate: found {evaluate}, expected 0 <= start < end <= 1")
+    fraction = (t - t[:1]) / max(np.ptp(t), 1e-9) if len(t) else t
+    inside: NDArray[np.bool_] = (fraction > a - 1e-9) & (fraction < b + 1e-9)
+    if not inside.any():
+        raise InputError(f"evaluate: none of {len(t)} epochs lies within {a} to {b} of the pass")
+    return inside
+
+
+def score(
+    track: Track,
+    truth: Truth | None,
+    derived: Sequence[Derived],
+    evaluate: tuple[float, float] | None = None,
+    runs: int = 1,
+) -> Score:
+    """Scores of a track over the part `evaluate` (fractions) of its pass.
+
+    runs: how many independent runs the bands are for. Without truth, sigma alone. Raises
+    InputError as :func:`errors` does, and on a window without epochs.
+    """
+    inside = _window(track.t, evaluate)
+    with np.errstate(over="ignore", invalid="ignore"):  # diverged tracks: None in the end
+        states = estimates(track, derived)
+        found = {} if truth is None else deviations(states, track.t, truth, derived)
+        found = {name: s.where(np.isin(s.t, track.t[inside])) for name, s in found.items()}
+        found = {name: s for name, s in found.items() if len(s.t)}
+        scores = {
+            name: _state_score(found[name], runs)
+            if name in found
+            else StateScore(state.block.table_unit, _sigma(state.block, state.P[inside]))
+            for name, state in states.items()
+        }
+        anees, band = mean_nees(*joint(found.values(), track), runs)
+    return Score(track.name, track.kind, scores, anees, band)
+
+
+def improvement(a: Score, b: Score, state: str) -> float | None:
+    """Part of the RMSE of `a` that `b` removes, ``1 - rmse_b / rmse_a``.
+
+    None when one has no RMSE. Raises InputError when they were not scored on the same
+    epochs, or do not know the state.
+    """
+    for one in (a, b):
+        if state not in one.states:
+            raise InputError(f"{one.name} has no state {state!r}; it has {list(one.states)}")
+    first, second = a.states[state], b.states[state]
+    if not np.array_equal(first.t, second.t):
+        raise InputError(f"{state}: {a.name} and {b.name} were scored on different epochs")
+    if not first.rmse or second.rmse is None:
+        return None
+    return 1 - second.rmse / first.rmse
+
+
+def require_same_kind(tracks: Iterable[Track]) -> Kind:
+    """The kind that all tracks share; for all that averages tracks.
+
+    Raises InputError when filtered, fixed-lag and smoothed estimates are mixed.
+    """
+    kinds = {track.name: track.kind for track in tracks}
+    if len(set(kinds.values())) != 1:
+        found = ", ".join(f"{name} is {kind}" for name, kind in kinds.items())
+        raise InputError(f"expected tracks of one kind, found: {found or 'none'}")
+    return next(iter(kinds.values()))
+
+
+def with_smoothed(tracks: Iterable[Track]) -> dict[str, Track]:
+    """Tracks by the name of their row: an online estimator has two, the second being
+    ``NAME_smoothed``, the track that it ends with."""
+    found = {}
+    for track in tracks:
+        found[track.name] = track
+        if track.smoothed is not None:
+            found[f"{track.name}_smoothed"] = track.smoothed
+    return found
+
+
+def _step_ms(step_s: Array | None) -> dict[str, dict[str, float | None]]:
+    if step_s is None or not len(step_s):
+        return {}
+    ms, tenth = 1e3 * step_s, max(1, len(step_s) // 10)
+    times = {
+        "median": np.median(ms),
+        "p99": np.percentile(ms, 99),
+        "first_tenth_median": np.median(ms[:tenth]),
+        "last_tenth_median": np.median(ms[-tenth:]),
+    }
+    return {"step_ms": {name: _number(value) for name, value in times.items()}}
+
+
+def _state_row(s: StateScore) -> dict[str, Any]:
+    names = ("rmse", "rmse_last", "sigma", "anees", "anees_band", "inside_3sigma")
+    known = names if len(s.t) else ("sigma",)
+    return {"unit": s.unit} | {name: getattr(s, name) for name in known}
+
+
+def _row(track: Track, s: Score) -> dict[str, Any]:
+    return {
+        "kind": track.kind,
+        "status": track.status,
+        "message": track.message,
+        "runtime_s": _number(track.runtime_s),
+        **_step_ms(track.step_s),
+        "anees": s.anees,
+        "anees_band": s.anees_band,
+        "rejected": {sensor: int(n) for sensor, n in track.rejected.items()},
+        "states": {name: _state_row(state) for name, state in s.states.items()},
+    }
+
+
+def summary(
+    scenario_name: str,
+    seed: int | None,
+    tracks: Iterable[Track],
+    truth: Truth | None,
+    derived: Sequence[Derived],
+    evaluate: tuple[float, float] | None,
+    epochs: int,
+) -> dict[str, Any]:
+    """The object that ``relnav compare --json`` prints: strict JSON, schema 1.
+
+    States that truth does not know have unit and sigma only. Raises InputError as
+    :func:`score` does.
+    """
+    packages = ("relnav-graph", "gtsam", "numpy", "numba")
+    return {
+        "schema": 1,
+        "scenario": scenario_name,
+        "seed": seed,
+        "epochs": epochs,
+        "versions": {p: version(p) for p in packages} | {"python": platform.python_version()},
+        "estimators": {
+            name: _row(track, score(track, truth, derived, evaluate))
+            for name, track in with_smoothed(tracks).items()
+        },
+    }

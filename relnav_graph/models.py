@@ -1,0 +1,278 @@
+"""The contracts of sensors, dynamics and derived quantities, and how models are found.
+
+A model is a frozen dataclass in a file of its own. Its formula stands once, in a compiled
+kernel (`relnav_graph.compiled`), and simulator, filter and graph all reach it through the
+same object. The mixins `SensorModel` and `DynamicsModel` turn a kernel into the Python
+methods below; the contracts themselves are structural.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.errors import GeometryError, InputError, ModelError
+from relnav_graph.registry import classes
+from relnav_graph.state import Block, Layout
+from relnav_graph.units import check_fields
+
+__all__ = [
+    "Derived",
+    "Dynamics",
+    "DynamicsModel",
+    "Measurement",
+    "Sensor",
+    "SensorModel",
+    "derived_quantities",
+]
+
+Array = NDArray[np.float64]
+Kernel = Callable[..., Any]
+ENTRY_POINTS = "relnav_graph.models"
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What one sensor saw at one time: k observations of the same kind.
+
+    sensor: name in the problem; t: time of validity, s; z: (k, nz) measured values;
+    ids: (k,) which beacon or point each row belongs to; t_arrival: when it became known.
+    Raises InputError on a value that is not finite or on sizes that do not match.
+    """
+
+    sensor: str
+    t: float
+    z: Array
+    ids: NDArray[np.int64]
+    t_arrival: float | None = None
+
+    def __post_init__(self) -> None:
+        where = f"sensor {self.sensor!r} at t = {self.t} s"
+        z = np.array(self.z)
+        if z.dtype.kind not in "fiu" or z.ndim != 2 or np.ma.isMaskedArray(self.z):
+            raise InputError(f"{where}: z is {z.dtype} {z.shape}, expected real numbers (k, nz)")
+        ids = np.array(self.ids, dtype=np.int64)
+        if ids.shape != (len(z),):
+            raise InputError(f"{where}: {len(z)} rows of z, but ids of shape {ids.shape}")
+        if not np.isfinite(self.t):
+            raise InputError(f"{where}: the time is not finite")
+        if not np.isfinite(z).all():
+            bad = int(ids[np.nonzero(~np.isfinite(z).all(axis=1))[0][0]])
+            raise InputError(f"{where}: z of id {bad} is not finite: {z[ids == bad][0]}")
+        object.__setattr__(self, "z", np.ascontiguousarray(z, dtype=np.float64))
+        object.__setattr__(self, "ids", ids)
+
+
+@runtime_checkable
+class Sensor(Protocol):
+    """A measurement model h. Residuals are prediction minus measured, as in GTSAM."""
+
+    kind: ClassVar[str]
+    #: Names of the components of z, with units: the columns of the sensor's table.
+    columns: ClassVar[tuple[str, ...]]
+    #: Residual rows of one observation.
+    rows: ClassVar[int]
+    kernel: ClassVar[Kernel]
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        """Blocks that the model reads, in the order of its arguments."""
+
+    def constants(self) -> Array:
+        """p of the kernel."""
+
+    def observation_data(self, ids: NDArray[np.int64]) -> Array:
+        """q of the kernel, (k, nq): what belongs to each observation. Raises InputError
+        on an id that the sensor does not know."""
+
+    def observables(self) -> NDArray[np.int64]:
+        """Ids that a simulated sensor looks for."""
+
+    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+        """z (k, nz) without noise, from one value per block read. Raises GeometryError."""
+
+    def perturb(self, z: Array, e: Array) -> Array:
+        """z (k, nz) moved by residual noise e (k, rows), for the simulator."""
+
+    def noise(self, m: Measurement) -> Array:
+        """R (k, rows, rows) of each observation."""
+
+    def residual(self, m: Measurement, *x: Array) -> tuple[Array, tuple[Array, ...]]:
+        """r (k rows,) and its Jacobian to each block (k rows, dim). Raises GeometryError."""
+
+
+@runtime_checkable
+class Dynamics(Protocol):
+    """A process model: advances some blocks over an interval, reading maybe others."""
+
+    kind: ClassVar[str]
+    #: Names of the inputs (gyro, accelerometer), each a known mean over sub-intervals.
+    inputs: ClassVar[tuple[str, ...]]
+    kernel: ClassVar[Kernel]
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        """Blocks that the model moves forward; first of the arguments."""
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        """Blocks that it only reads; after the advanced ones."""
+
+    def constants(self) -> Array:
+        """p of the kernel."""
+
+    def propagate(self, t: float, u: Array, *x: Array) -> tuple[Array, ...]:
+        """The advanced blocks at the end of the interval."""
+
+    def transition(self, t: float, u: Array, *x: Array) -> tuple[tuple[Array, ...], Array, Array]:
+        """The advanced blocks, F (to all blocks, advanced first) and Q."""
+
+
+@runtime_checkable
+class Derived(Protocol):
+    """A quantity computed from blocks, with its Jacobian, for tables and covariances."""
+
+    kind: ClassVar[str]
+    block: ClassVar[Block]
+    reads: ClassVar[tuple[Block, ...]]
+
+    def value(self, *x: Array) -> tuple[Array, Array]:
+        """The value, and d(tangent of the value) / d(tangents of the blocks read)."""
+
+
+def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:
+    if len(values) != len(blocks):
+        names = [b.name for b in blocks]
+        raise InputError(f"{kind}: found {len(values)} values, expected one for each of {names}")
+    return np.concatenate([b.pack(v) for b, v in zip(blocks, values, strict=True)])
+
+
+def _check_filled(kind: str, **arrays: Array) -> None:
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            raise ModelError(f"{kind}: the kernel left {name}{list(at)} unfilled or not finite")
+
+
+class SensorModel:
+    """Mixin: the methods of `Sensor` that follow from the kernel. Checks the fields."""
+
+    kind: ClassVar[str]
+    rows: ClassVar[int]
+    columns: ClassVar[tuple[str, ...]]
+    kernel: ClassVar[Kernel]
+    #: What each non-zero status of the kernel means.
+    failures: ClassVar[Mapping[int, str]] = {}
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        raise NotImplementedError
+
+    def constants(self) -> Array:
+        return np.zeros(0)
+
+    def observation_data(self, ids: NDArray[np.int64]) -> Array:
+        return np.zeros((len(ids), 0))
+
+    def observables(self) -> NDArray[np.int64]:
+        return np.zeros(1, dtype=np.int64)
+
+    def perturb(self, z: Array, e: Array) -> Array:
+        return z + e
+
+    def failure(self, status: int) -> str:
+        """What a non-zero status of the kernel means."""
+        return self.failures.get(status, f"status {status}")
+
+    def residual(self, m: Measurement, *x: Array) -> tuple[Array, tuple[Array, ...]]:
+        """r (k rows,) and its Jacobian to each block (k rows, dim).
+
+        Raises GeometryError when an observation is impossible at this state, InputError
+        on values of the wrong shape, ModelError when the kernel leaves an entry unfilled.
+        """
+        packed = _pack(self.reads, x, self.kind)
+        dims = [b.dim for b in self.reads]
+        p, q = self.constants(), self.observation_data(m.ids)
+        r = np.full((len(m.z), self.rows), np.nan)
+        jacobian = np.full((len(m.z), self.rows, sum(dims)), np.nan)
+        for k in range(len(m.z)):
+            status = self.kernel(p, q[k], m.z[k], packed, r[k], jacobian[k])
+            if status:
+                raise GeometryError(
+                    f"{self.kind}: id {m.ids[k]} at t = {m.t} s: {self.failure(status)}"
+                )
+        _check_filled(self.kind, r=r, H=jacobian)
+        stacked = jacobian.reshape(-1, sum(dims))
+        return r.reshape(-1), tuple(np.split(stacked, np.cumsum(dims)[:-1], axis=1))
+
+
+class DynamicsModel:
+    """Mixin: the methods of `Dynamics` that follow from the kernel. Checks the fields."""
+
+    kind: ClassVar[str]
+    inputs: ClassVar[tuple[str, ...]] = ()
+    kernel: ClassVar[Kernel]
+    failures: ClassVar[Mapping[int, str]] = {}
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        raise NotImplementedError
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return ()
+
+    def constants(self) -> Array:
+        return np.zeros(0)
+
+    def failure(self, status: int) -> str:
+        """What a non-zero status of the kernel means."""
+        return self.failures.get(status, f"status {status}")
+
+    def transition(self, t: float, u: Array, *x: Array) -> tuple[tuple[Array, ...], Array, Array]:
+        """The advanced blocks at the end of the interval, F and Q.
+
+        t: start, s; u: (rows, 1 + channels), one row per sub-interval: its length in s,
+        then the inputs that hold in it. F: (n, n + reads), in tangent coordinates, the
+        advanced blocks first; Q: (n, n) covariance of the advanced blocks' noise.
+        Raises InputError on values of the wrong shape, ModelError when the kernel leaves
+        an entry unfilled, GeometryError when the interval cannot be propagated.
+        """
+        packed = _pack(self.advances + self.reads, x, self.kind)
+        n = sum(b.dim for b in self.advances)
+        x_next = np.full(sum(b.size for b in self.advances), np.nan)
+        F = np.full((n, n + sum(b.dim for b in self.reads)), np.nan)
+        Q = np.full((n, n), np.nan)
+        u = np.ascontiguousarray(u, dtype=np.float64)
+        status = self.kernel(self.constants(), float(t), u, packed, x_next, F, Q)
+        if status:
+            raise GeometryError(f"{self.kind}: from t = {t} s: {self.failure(status)}")
+        _check_filled(self.kind, x_next=x_next, F=F, Q=Q)
+        parts = np.split(x_next, np.cumsum([b.size for b in self.advances])[:-1])
+        values = tuple(b.unpack(v) for b, v in zip(self.advances, parts, strict=True))
+        return values, F, Q
+
+    def propagate(self, t: float, u: Array, *x: Array) -> tuple[Array, ...]:
+        """The advanced blocks at the end of the interval; see :meth:`transition`."""
+        return self.transition(t, u, *x)[0]
+
+
+def derived_quantities(layout: Layout) -> list[Derived]:
+    """All known derived quantities whose blocks stand in `layout`, and which do not."""
+    return [
+        cls()
+        for cls in classes(ENTRY_POINTS).values()
+        if hasattr(cls, "block")
+        and cls.block.name not in layout
+        and all(block in layout.blocks for block in cls.reads)
+    ]

@@ -1,0 +1,241 @@
+"""Figures of a comparison: errors with three-sigma bands, and the trajectory.
+
+Figures are built as objects, without pyplot, so that no global state is touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from relnav_graph.deviation import errors, estimates, finite
+from relnav_graph.metrics import with_smoothed
+from relnav_graph.models import Derived
+from relnav_graph.state import Block
+from relnav_graph.track import Track, Truth
+
+__all__ = ["error_figures", "save_figures", "trajectory_figure"]
+
+Array = NDArray[np.float64]
+
+#: Distinct to colour-blind readers (Okabe and Ito 2008, last two added); black is truth.
+_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#882255")
+#: Of the tracks of one kind: equal ones stay visible below each other.
+_DASHES = ("solid", (0, (5, 2)), (0, (2, 1.5)), (0, (1, 1)))
+_STYLE: dict[Any, Any] = {
+    "font.size": 8,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "axes.titlesize": 9,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "0.92",
+    "grid.linewidth": 0.5,
+    "svg.hashsalt": "relnav-graph",  # the same figure gives the same file
+}
+_WIDTH = 7.0  # inches: two columns of a journal page
+#: Part of the pass in which a filter may still converge, and how far limits then follow
+#: excursions, in usual sizes (medians).
+_TRANSIENT, _EXCURSION = 0.1, 6.0
+
+
+def _styles(rows: Mapping[str, Track]) -> dict[str, dict[str, Any]]:
+    """How to draw each row; smoothed estimates are heavier and on top."""
+    styles: dict[str, dict[str, Any]] = {}
+    kinds = [track.kind for track in rows.values()]
+    for k, (name, kind) in enumerate(zip(rows, kinds, strict=True)):
+        styles[name] = {
+            "label": f"{name} ({kind})",
+            "color": _COLOURS[k % len(_COLOURS)],
+            "linestyle": _DASHES[kinds[:k].count(kind) % len(_DASHES)],
+            "linewidth": 0.8 if kind == "filtered" else 1.2,
+            "zorder": 3 if kind == "filtered" else 4,
+        }
+    return styles
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """One state of one track in table units: t (N,) s, sigma (N, dim), e where known."""
+
+    name: str
+    track: Track
+    block: Block
+    style: Mapping[str, Any]
+    t: Array
+    sigma: Array
+    e: Array | None
+
+    def reach(self, axis: int) -> Array:
+        """How far the error or its 3-sigma band reaches, (N,); NaN counts as 0."""
+        error = np.zeros_like(self.sigma) if self.e is None else np.abs(self.e)
+        return np.nan_to_num(np.fmax(3 * self.sigma, error)[:, axis])
+
+
+def _lines(
+    tracks: Iterable[Track], truth: Truth | None, derived: Sequence[Derived]
+) -> dict[str, list[_Line]]:
+    rows, lines = with_smoothed(tracks), dict[str, list[_Line]]()
+    styles = _styles(rows)
+    for name, track in rows.items():
+        known = {} if truth is None else errors(track, truth, derived)
+        for state, x in estimates(track, derived).items():
+            t, P, e, scale = track.t, x.P, None, x.block.table_scale
+            if state in known and len(known[state].t):
+                t, P, e = known[state].t, known[state].P, scale * known[state].e
+            variance = np.diagonal(P, axis1=1, axis2=2)
+            sigma = scale * np.sqrt(np.where(variance >= 0, variance, np.nan))
+            line = _Line(name, track, x.block, styles[name], t, sigma, e)
+            lines.setdefault(state, []).append(line)
+    return lines
+
+
+def _symbol(block: Block) -> str:
+    head, *letters = block.symbol.split("_")
+    return f"${head}" + "".join(f"{a}{{{b}}}" for a, b in zip("_^", letters, strict=False)) + "$"
+
+
+def _label(block: Block, axis: int) -> str:
+    """Component of a vector, or axis of an attitude error, with its frame and unit."""
+    letter = "xyz"[axis] if block.dim <= 3 else str(axis + 1)
+    unit = "" if block.table_unit == "1" else f" [{block.table_unit}]"
+    return f"${letter}_{{{block.frame[-1:]}}}${unit}"
+
+
+def _limit(lines: Sequence[_Line], axis: int) -> float:
+    """Half the height of a panel: what errors and bands need once filters converged.
+
+    A diverged track, or a short excursion, must not crush the others.
+    """
+    needs = []
+    for line in [x for x in lines if x.track.status != "diverged"] or lines:
+        reach = line.reach(axis)[line.t >= line.t[0] + _TRANSIENT * np.ptp(line.t)]
+        needs.append(min(reach.max(), _EXCURSION * float(np.median(reach))))
+    return 1.3 * max(needs) or 1.0  # room for the note of what is off scale
+
+
+def _draw_errors(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
+    for line in lines:
+        band, thin = 3 * line.sigma[:, axis], {**line.style, "linewidth": 0.5, "zorder": 2}
+        shade = 0.26 / max(2, len(lines))  # many bands must not add up to mud
+        ax.fill_between(line.t, -band, band, color=thin["color"], alpha=shade, linewidth=0)
+        ax.plot(line.t, np.column_stack([-band, band]), **thin)
+        if line.e is not None:
+            ax.plot(line.t, line.e[:, axis], **line.style)
+    limit = _limit(lines, axis)
+    ax.set_ylim(-limit, limit)
+    ax.axhline(0, color="0.4", linewidth=0.5, zorder=1.5)
+    peaks = {line.name: float(line.reach(axis).max()) for line in lines}
+    beyond = [f"{name} to {float(f'{p:.2g}'):g}" for name, p in peaks.items() if p > limit]
+    if beyond:
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1}
+        note = ax.text(0.995, 0.97, "off scale: " + ", ".join(beyond), transform=ax.transAxes)
+        note.set(fontsize=6, color="0.25", ha="right", va="top", zorder=6, bbox=box)
+
+
+def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
+    block, known = lines[0].block, lines[0].e is not None
+    figure = Figure(figsize=(_WIDTH, 1.0 + 1.35 * block.dim), layout="constrained")
+    panels = figure.subplots(block.dim, 1, sharex=True, squeeze=False)[:, 0]
+    for axis, ax in enumerate(panels):
+        ax.set_ylabel(_label(block, axis))
+        ax.margins(x=0)
+        if known:
+            _draw_errors(ax, lines, axis)
+            continue
+        for line in lines:
+            ax.semilogy(line.t, line.sigma[:, axis], **line.style)
+    what = "error (truth − estimate)" if known else "1-sigma uncertainty"
+    where = "about the axes of" if block.manifold == "SO3" else "in"
+    title = f"{state.replace('_', ' ').capitalize()} {_symbol(block)}: {what}"
+    panels[0].set_title(f"{title}, {where} frame {block.frame[-1:]}", loc="left")
+    panels[-1].set_xlabel("time [s]")
+    figure.align_ylabels()
+    handles: list[Any] = [Line2D([], [], **line.style) for line in lines]
+    if known:
+        handles.append(Patch(facecolor="0.85", edgecolor="0.5", linewidth=0.5, label="±3 sigma"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure
+
+
+def error_figures(
+    tracks: Iterable[Track], truth: Truth | None, derived: Sequence[Derived]
+) -> dict[str, Figure]:
+    """A figure per state, in table units: a panel per axis, with error and 3-sigma band.
+
+    Where truth does not know the state: 1-sigma alone, on a logarithmic scale. Limits
+    leave out transients and diverged tracks; a note in the panel says so. Raises
+    InputError as :func:`relnav_graph.metrics.errors` does.
+    """
+    with mpl.rc_context(_STYLE):
+        lines = _lines(tracks, truth, derived)
+        return {state: _state_figure(state, found) for state, found in lines.items()}
+
+
+def trajectory_figure(
+    tracks: Iterable[Track], truth: Truth | None, derived: Sequence[Derived] = ()
+) -> Figure | None:
+    """The relative position in the three planes of its frame, with truth where known.
+
+    Limits follow truth, or else the first track. None when no track has the position.
+    """
+    rows, paths, block = with_smoothed(tracks), list[tuple[Array, Mapping[str, Any]]](), None
+    for name, style in _styles(rows).items():
+        estimate = estimates(rows[name], derived).get("relative_position")
+        if estimate is not None and finite(estimate.value).any():
+            block = estimate.block
+            paths.append((estimate.value, style))
+    if block is None:
+        return None
+    if truth is not None and "relative_position" in truth.values:
+        true = truth.values["relative_position"]
+        paths.insert(0, (true, {"label": "truth", "color": "black", "linewidth": 1.8}))
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(_WIDTH, 3.0), layout="constrained")
+        for ax, (h, v) in zip(figure.subplots(1, 3), ((1, 0), (1, 2), (0, 2)), strict=True):
+            _draw_plane(ax, paths, h, v)
+            ax.set(xlabel=_label(block, h), ylabel=_label(block, v))
+        figure.suptitle(f"Relative position {_symbol(block)} in frame {block.frame[-1:]}")
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    return figure
+
+
+def _draw_plane(ax: Axes, paths: Sequence[tuple[Array, Mapping[str, Any]]], h: int, v: int) -> None:
+    for r, style in paths:
+        ax.plot(r[:, h], r[:, v], **style)
+    r = next(r for r, _ in paths if finite(r).any())
+    r = r[finite(r)]
+    middle, half = (r.max(axis=0) + r.min(axis=0)) / 2, 0.58 * np.ptp(r, axis=0).max() or 1.0
+    ax.set(xlim=(middle[h] - half, middle[h] + half), ylim=(middle[v] - half, middle[v] + half))
+    ax.set_aspect("equal")
+    for point, marker, label in ((r[0], "o", "start"), (r[-1], "s", "end")):
+        ax.plot(point[h], point[v], marker, color="black", markersize=4, zorder=6, label=label)
+    ax.plot(0, 0, "+", color="black", markersize=8, zorder=6, label="target")
+
+
+def save_figures(figures: Mapping[str, Figure], folder: Path | str) -> list[Path]:
+    """Write NAME.svg and NAME.png of each figure; gives the paths.
+
+    The files hold no date and no random identifiers: the same figure gives the same file.
+    """
+    paths = []
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    with mpl.rc_context(_STYLE):
+        for name, figure in figures.items():
+            for suffix, metadata in (("svg", {"Date": None}), ("png", None)):
+                paths.append(Path(folder) / f"{name}.{suffix}")
+                figure.savefig(paths[-1], dpi=200, metadata=metadata)
+    return paths

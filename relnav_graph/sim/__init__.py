@@ -1,0 +1,130 @@
+"""Truth and sensors: what a pass would really have been, and what would have been seen."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.models import Dynamics, Measurement, Sensor
+from relnav_graph.problem import InputSeries, layout_of
+from relnav_graph.recording import Recording
+from relnav_graph.sim.own_models import ConstantInput, OwnModels
+from relnav_graph.track import Truth
+
+__all__ = ["GROUP", "TruthModel", "simulate", "stream"]
+
+Array = NDArray[np.float64]
+GROUP = "relnav_graph.truths"
+
+
+@runtime_checkable
+class TruthModel(Protocol):
+    """A truth whose dynamics are its own."""
+
+    def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
+        """True blocks at `times` (N,), s."""
+
+    def mean_rate(self, t_start: Array, t_end: Array) -> Array:
+        """Mean of w_ci_c over each interval, rad/s, (n, 3)."""
+
+
+def stream(seed: int, run: int, name: str) -> np.random.Generator:
+    """The generator of one stream: its own for each name, so that adding a sensor leaves
+    the others as they were; the same however many workers share the runs."""
+    key = (run, zlib.crc32(name.encode()))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When a simulated sensor measures: every `period` s (None: at each epoch)."""
+
+    period: float | None = None
+
+    def fires(self, t: float, t0: float) -> bool:
+        if self.period is None:
+            return True
+        cycles = (t - t0) / self.period
+        return abs(cycles - round(cycles)) < 1e-6
+
+
+def measure(
+    name: str, sensor: Sensor, timing: Timing, truth: Truth, rng: np.random.Generator
+) -> list[Measurement]:
+    """What a sensor would have measured: the model at the truth, with its noise.
+
+    An observation that is impossible at the truth, such as a point behind the camera, is
+    one that is not seen. Raises InputError when the truth lacks a block.
+    """
+    missing = [b.name for b in sensor.reads if b.name not in truth.values]
+    if missing:
+        raise InputError(f"sensor {name!r} cannot be simulated: the truth has no {missing}")
+    out = []
+    for k, t in enumerate(truth.t):
+        if not timing.fires(float(t), float(truth.t[0])):
+            continue
+        x = [np.ascontiguousarray(truth.values[b.name][k]) for b in sensor.reads]
+        seen, rows = [], []
+        for i in sensor.observables():
+            try:
+                rows.append(sensor.predict(np.array([i]), *x)[0])
+                seen.append(i)
+            except GeometryError:
+                continue
+        if seen:
+            clean = Measurement(name, float(t), np.array(rows), np.array(seen))
+            R = sensor.noise(clean)
+            e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.standard_normal(R.shape[:2]))
+            out.append(Measurement(name, float(t), sensor.perturb(clean.z, e), clean.ids))
+    return out
+
+
+def simulate(
+    truth_model: Any,
+    inputs: Mapping[str, Any],
+    processes: Mapping[str, Dynamics],
+    sensors: Mapping[str, Sensor],
+    timings: Mapping[str, Timing],
+    times: Array,
+    seed: int,
+    run: int = 0,
+) -> Recording:
+    """A simulated pass: truth, inputs and measurements at `times` (N,), s.
+
+    Raises InputError when the truth cannot drive an input or a sensor.
+    """
+    layout = layout_of(processes, sensors)
+    t0, t1 = float(times[0]), float(times[-1])
+    series: dict[str, InputSeries] = {}
+    if isinstance(truth_model, OwnModels):
+        for name, source in inputs.items():
+            if not isinstance(source, ConstantInput):
+                raise InputError(f"inputs.{name}: a truth of kind own_models wants constant_input")
+            series[name] = source.series(name, t0, t1)
+        rng = stream(seed, run, "truth")
+        truth = truth_model.simulate(layout, processes, series, times, rng)
+    else:
+        truth = truth_model.simulate(times, stream(seed, run, "truth"))
+        for name, source in inputs.items():
+            if isinstance(source, ConstantInput):
+                series[name] = source.series(name, t0, t1)
+                continue
+            edges = source.edges(t0, t1)
+            rates = truth_model.mean_rate(edges[:-1], edges[1:])
+            rng = stream(seed, run, f"input {name}")
+            series[name], bias = source.sample(rates, edges[:-1], edges[1:], rng)
+            at = np.searchsorted(edges, times - 1e-6)
+            truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
+    known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
+    truth = Truth(truth.t, known, truth.source)
+    measurements: list[Measurement] = []
+    for name, sensor in sensors.items():
+        rng = stream(seed, run, f"sensor {name}")
+        measurements += measure(name, sensor, timings.get(name, Timing()), truth, rng)
+    return Recording(times, tuple(measurements), series, truth)

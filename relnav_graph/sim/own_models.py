@@ -1,0 +1,95 @@
+"""Truth drawn from the estimator's own process models, and inputs for it.
+
+An inverse crime, and named as such: such a truth can only show that an estimator is
+right about its own models. It serves tests, and reproductions of papers that did so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.errors import InputError
+from relnav_graph.models import Dynamics
+from relnav_graph.problem import InputSeries, process_inputs
+from relnav_graph.state import Layout
+from relnav_graph.track import Truth
+from relnav_graph.units import Quantity, check_fields
+
+__all__ = ["ConstantInput", "OwnModels"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ConstantInput:
+    """An input that is known and constant; values: SI."""
+
+    kind: ClassVar[str] = "constant_input"
+
+    values: Annotated[Array, Quantity("1", (None,))]
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def series(self, name: str, t_first: float, t_last: float) -> InputSeries:
+        """One sample from t_first to t_last, s."""
+        return InputSeries(name, np.array([t_first]), np.array([t_last]), self.values[None])
+
+
+@dataclass(frozen=True)
+class OwnModels:
+    """Truth propagated by the scenario's processes, with their own noise.
+
+    initial: value of a block at the first epoch, SI (an attitude as a rotation vector);
+    a block without one starts at zero.
+    """
+
+    kind: ClassVar[str] = "own_models"
+
+    initial: Mapping[str, Any] = field(default_factory=dict)
+
+    def simulate(
+        self,
+        layout: Layout,
+        processes: Mapping[str, Dynamics],
+        inputs: Mapping[str, InputSeries],
+        times: Array,
+        rng: np.random.Generator,
+    ) -> Truth:
+        """Truth of every block at `times` (N,). Raises InputError on a wrong initial value."""
+        unknown = set(self.initial) - {b.name for b in layout}
+        if unknown:
+            raise InputError(f"truth.initial: no block {sorted(unknown)} in the state")
+        start = np.zeros(layout.dim)
+        for name, value in self.initial.items():
+            array = np.asarray(value, dtype=np.float64)
+            if array.shape != (layout.block(name).dim,):
+                raise InputError(
+                    f"truth.initial.{name}: found {value!r}, expected {layout.block(name).dim} numbers"
+                )
+            start[layout.tangent(name)] = array
+        xs = [layout.retract(layout.identity, start)]
+        for t0, t1 in zip(times[:-1], times[1:], strict=True):
+            values = layout.values(xs[-1])
+            x_next = dict(values)
+            step = np.zeros(layout.dim)
+            for process in processes.values():
+                u = process_inputs(process, inputs, float(t0), float(t1))
+                blocks = process.advances + process.reads
+                after, _, Q = process.transition(float(t0), u, *(values[b.name] for b in blocks))
+                x_next |= {b.name: v for b, v in zip(process.advances, after, strict=True)}
+                noise = np.linalg.cholesky(Q) @ rng.standard_normal(len(Q))
+                _, rows = layout.gather(process.advances)
+                step[rows] = noise
+            xs.append(layout.retract(layout.pack(x_next), step))
+        x = np.array(xs)
+        return Truth(
+            times,
+            layout.values(x),
+            "own_models: drawn from the estimators' own models (an inverse crime)",
+        )

@@ -1,0 +1,195 @@
+"""Truth for a chaser near a tumbling target: two orbits and a rigid body.
+
+Nothing here is shared with the models of the estimators, so that no error of theirs can
+hide in the data that they are tested with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.constants import MU_EARTH
+from relnav_graph.errors import InputError
+from relnav_graph.sim.integrate import STATE_SIZE, integrate
+from relnav_graph.track import Truth
+from relnav_graph.units import Quantity, check_fields
+
+__all__ = ["RigidBodyPair"]
+
+Array = NDArray[np.float64]
+
+
+def _zeros() -> Array:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBodyPair:
+    """Two craft on two-body orbits; the target a free rigid body, the chaser turning steadily.
+
+    All that follows holds at t = 0. Frame o is RTN of the target's orbit.
+
+    semi_major_axis (m), eccentricity (0 <= e < 1), true_anomaly, inclination, raan,
+    argument_of_perigee (rad), mu (m^3/s^2): orbit of the target.
+    relative_position: r_tc_o, m; relative_velocity: its derivative in o, m/s.
+    target_attitude, chaser_attitude: R_ot and R_oc as rotation vectors, rad.
+    target_inertia: principal moments about the axes of t, kg m^2; target_rate: w_ti_t,
+    rad/s; chaser_rate: w_ci_c, rad/s, constant.
+    torque_density: white angular acceleration of the target per axis of t, rad/s^1.5;
+    acceleration_density: white acceleration of the chaser per axis of i, m/s^1.5.
+    max_step: longest integration step, s. With steps that turn the target by less than
+    0.05 rad the attitude is within 1e-9 rad after an hour.
+
+    Raises InputError on an orbit that is not an ellipse, on moments that no body has
+    (one at least the sum of the others), and on values of a wrong shape or sign.
+    """
+
+    kind: ClassVar[str] = "rigid_body_pair"
+
+    semi_major_axis: Annotated[float, Quantity("m", positive=True)]
+    relative_position: Annotated[Array, Quantity("m", (3,))]
+    relative_velocity: Annotated[Array, Quantity("m/s", (3,))]
+    target_inertia: Annotated[Array, Quantity("kg*m^2", (3,), positive=True)]
+    target_rate: Annotated[Array, Quantity("rad/s", (3,))]
+    eccentricity: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
+    true_anomaly: Annotated[float, Quantity("rad")] = 0.0
+    inclination: Annotated[float, Quantity("rad")] = 0.0
+    raan: Annotated[float, Quantity("rad")] = 0.0
+    argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
+    mu: Annotated[float, Quantity("m^3/s^2", positive=True)] = MU_EARTH
+    target_attitude: Annotated[Array, Quantity("rad", (3,))] = field(default_factory=_zeros)
+    chaser_attitude: Annotated[Array, Quantity("rad", (3,))] = field(default_factory=_zeros)
+    chaser_rate: Annotated[Array, Quantity("rad/s", (3,))] = field(default_factory=_zeros)
+    torque_density: Annotated[float, Quantity("rad/s^1.5", nonnegative=True)] = 0.0
+    acceleration_density: Annotated[float, Quantity("m/s^1.5", nonnegative=True)] = 0.0
+    max_step: Annotated[float, Quantity("s", positive=True)] = 0.5
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.eccentricity >= 1:
+            raise InputError(
+                f"RigidBodyPair.eccentricity: found {self.eccentricity}, expected below 1"
+            )
+        J = self.target_inertia
+        if 2 * J.max() >= J.sum():
+            raise InputError(
+                f"RigidBodyPair.target_inertia: found {J.tolist()} kg m^2, expected each"
+                " moment below the sum of the other two"
+            )
+
+    def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
+        """Truth at `times` (N,), s: increasing, the first not before t = 0.
+
+        Values: chaser_attitude R_oc and target_attitude R_ot (N, 3, 3), relative_position
+        r_tc_o and relative_velocity (its derivative in o), target_rate w_ti_t, chaser_rate
+        w_ci_c (N, 3), inertia_parameters (N, 2). Noise is constant over each integration
+        step with variance density^2 / step. Raises InputError on times out of order.
+        """
+        t = _checked_times(times)
+        spans = np.diff(t, prepend=0.0)
+        # The margin keeps a span of 10 s, rounded up, from taking one step more.
+        counts = np.ceil(spans / self.max_step * (1 - 1e-12)).astype(np.int64)
+        h = spans / np.maximum(counts, 1)
+        density = np.repeat([self.torque_density, self.acceleration_density], 3)
+        # Always six numbers a step: one noise switched on leaves the other as it was.
+        disturbance = rng.standard_normal((int(counts.sum()), 6)) * density
+        disturbance /= np.sqrt(np.repeat(h, counts))[:, None]
+        y = np.empty((len(t), STATE_SIZE))
+        p = np.array([self.mu, *self.target_inertia])
+        integrate(p, self._initial_state(), counts, h, disturbance, y)
+        return Truth(
+            t=t,
+            values=self._values(t, y),
+            source=(
+                "rigid_body_pair: two-body orbits of both craft integrated in an inertial frame,"
+                " rigid target under Euler's equations with white torque, chaser at a constant"
+                " body rate with white acceleration. Not modelled: oblateness, drag, solar"
+                " pressure, third bodies, gravity-gradient torque, flexibility, thrusters"
+            ),
+        )
+
+    def mean_rate(self, t_start: Array, t_end: Array) -> Array:
+        """Mean of w_ci_c over each interval [t_start, t_end] (n,), s: (n, 3), rad/s.
+
+        What a rate-integrating gyro without errors gives. Exact: the rate is constant.
+        Raises InputError on an interval that does not run forwards.
+        """
+        backwards = ~(np.asarray(t_end) > np.asarray(t_start))
+        if backwards.any():
+            t = np.asarray(t_start)[backwards][0]
+            raise InputError(f"mean_rate: the interval from t = {t} s does not run forwards")
+        return np.tile(self.chaser_rate, (len(backwards), 1))
+
+    def _initial_R_io(self) -> Array:
+        z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+        latitude = self.argument_of_perigee + self.true_anomaly
+        plane = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
+        return np.asarray(plane @ so3.exp(latitude * z))
+
+    def _initial_state(self) -> Array:
+        """The state y (19,) at t = 0; see `relnav_graph.sim.integrate`."""
+        e, nu = self.eccentricity, self.true_anomaly
+        parameter = self.semi_major_axis * (1 - e * e)
+        radius = parameter / (1 + e * np.cos(nu))
+        momentum = np.sqrt(self.mu * parameter)
+        v_ti_o = np.array([self.mu / momentum * e * np.sin(nu), momentum / radius, 0.0])
+        w_oi_o = np.array([0.0, 0.0, momentum / radius**2])
+        # Derivative taken in i, components in o.
+        d_dot_o = self.relative_velocity + np.cross(w_oi_o, self.relative_position)
+        R_io = self._initial_R_io()
+        R_it = R_io @ so3.exp(self.target_attitude.copy())
+        return np.concatenate(
+            [
+                radius * R_io[:, 0],
+                R_io @ v_ti_o,
+                R_io @ self.relative_position,
+                R_io @ d_dot_o,
+                so3.quaternion(R_it),
+                self.target_rate,
+            ]
+        )
+
+    def _values(self, t: Array, y: Array) -> dict[str, Array]:
+        """Values of the blocks from the integrated states y (N, 19)."""
+        r_i, v_i = y[:, 0:3], y[:, 3:6]
+        x_i = r_i / np.linalg.norm(r_i, axis=1)[:, None]
+        h_i = np.cross(r_i, v_i)
+        momentum = np.linalg.norm(h_i, axis=1)
+        z_i = h_i / momentum[:, None]
+        R_oi = np.stack([x_i, np.cross(z_i, x_i), z_i], axis=1)
+        r_tc_o = np.einsum("nij,nj->ni", R_oi, y[:, 6:9])
+        w_oi_o = np.zeros_like(r_tc_o)
+        w_oi_o[:, 2] = momentum / (r_i**2).sum(axis=1)
+        R_it = np.stack([so3.from_quaternion(q) for q in y[:, 12:16]])
+        R_ic0 = self._initial_R_io() @ so3.exp(self.chaser_attitude.copy())
+        R_ic = R_ic0 @ np.stack([so3.exp(self.chaser_rate * s) for s in t])
+        jx, jy, jz = self.target_inertia
+        inertia_parameters = np.arctanh([(jy - jz) / jx, (jz - jx) / jy])
+        return {
+            "chaser_attitude": R_oi @ R_ic,
+            "target_attitude": R_oi @ R_it,
+            "relative_position": r_tc_o,
+            "relative_velocity": np.einsum("nij,nj->ni", R_oi, y[:, 9:12])
+            - np.cross(w_oi_o, r_tc_o),
+            "target_rate": y[:, 16:19].copy(),
+            "chaser_rate": np.tile(self.chaser_rate, (len(t), 1)),
+            "inertia_parameters": np.tile(inertia_parameters, (len(t), 1)),
+        }
+
+
+def _checked_times(times: Array) -> Array:
+    t = np.array(times, dtype=np.float64)
+    if t.ndim != 1 or not len(t) or not np.isfinite(t).all():
+        raise InputError(f"times: found shape {t.shape}, expected one or more finite times (N,)")
+    if t[0] < 0:
+        raise InputError(f"times: found {t[0]} s, expected none before t = 0")
+    backwards = np.nonzero(np.diff(t) <= 0)[0]
+    if len(backwards):
+        k = backwards[0]
+        raise InputError(f"times: found {t[k + 1]} s after {t[k]} s, expected increasing times")
+    return t

@@ -1,0 +1,200 @@
+"""Rotations: exponential, logarithm, Jacobians, quaternions.
+
+Matrices are active (``R_ab`` takes b-components to a-components). Perturbations act on
+the right, ``R Exp(d)``, with d in the right-hand frame in radians: GTSAM's ``retract``.
+All functions take and return C-contiguous float64 and are compiled.
+
+Sources: Sola, Deray, Atchuthan 2018 (arXiv:1812.01537), eqs. 132-147; Chirikjian 2012.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.compiled import jit
+
+Array = NDArray[np.float64]
+
+# Below this angle the series of the coefficients, to the last digit kept, replace the
+# closed forms: (t - sin t) / t^3 loses eps / t^2 to cancellation, far above it.
+_SERIES = 0.3
+
+
+@jit
+def multiply(a: Array, b: Array) -> Array:
+    """Product of two small matrices, (m, k) by (k, n); cheaper than a BLAS call."""
+    m, k, n = a.shape[0], a.shape[1], b.shape[1]
+    out = np.zeros((m, n))
+    for i in range(m):
+        for l in range(k):
+            f = a[i, l]
+            for j in range(n):
+                out[i, j] += f * b[l, j]
+    return out
+
+
+@jit
+def transpose_multiply(a: Array, b: Array) -> Array:
+    """``a^T b`` of small matrices, (k, m) and (k, n)."""
+    k, m, n = a.shape[0], a.shape[1], b.shape[1]
+    out = np.zeros((m, n))
+    for l in range(k):
+        for i in range(m):
+            f = a[l, i]
+            for j in range(n):
+                out[i, j] += f * b[l, j]
+    return out
+
+
+@jit
+def rotate(matrix: Array, v: Array) -> Array:
+    """``matrix v`` for a (m, k) matrix and a (k,) vector."""
+    m, k = matrix.shape
+    out = np.zeros(m)
+    for i in range(m):
+        for j in range(k):
+            out[i] += matrix[i, j] * v[j]
+    return out
+
+
+@jit
+def unrotate(matrix: Array, v: Array) -> Array:
+    """``matrix^T v`` for a (k, m) matrix and a (k,) vector."""
+    k, m = matrix.shape
+    out = np.zeros(m)
+    for i in range(k):
+        for j in range(m):
+            out[j] += matrix[i, j] * v[i]
+    return out
+
+
+@jit
+def cross(a: Array, b: Array) -> Array:
+    """Vector product of two (3,) vectors."""
+    out = np.empty(3)
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+    return out
+
+
+@jit
+def skew(v: Array) -> Array:
+    """``[v x]``, (3, 3): ``skew(a) b = a x b``."""
+    out = np.zeros((3, 3))
+    out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
+    out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
+    return out
+
+
+@jit
+def _quadratic(v: Array, a: float, b: float) -> Array:
+    """``I + a [v x] + b [v x]^2``, with ``[v x]^2 = v v^T - |v|^2 I`` written out."""
+    s = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = b * v[i] * v[j]
+        out[i, i] += 1.0 - b * s
+    out[0, 1] -= a * v[2]
+    out[0, 2] += a * v[1]
+    out[1, 2] -= a * v[0]
+    out[1, 0] += a * v[2]
+    out[2, 0] -= a * v[1]
+    out[2, 1] += a * v[0]
+    return out
+
+
+@jit
+def _coefficients(t: float) -> tuple[float, float, float]:
+    """``sin t / t``, ``(1 - cos t) / t^2``, ``(t - sin t) / t^3``."""
+    s = t * t
+    if t < _SERIES:
+        a = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110))))
+        b = 0.5 * (1 - s / 12 * (1 - s / 30 * (1 - s / 56 * (1 - s / 90 * (1 - s / 132)))))
+        c = (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110 * (1 - s / 156))))) / 6
+        return a, b, c
+    half = np.sin(0.5 * t)
+    return np.sin(t) / t, 2 * half * half / s, (t - np.sin(t)) / (s * t)
+
+
+@jit
+def exp(phi: Array) -> Array:
+    """Rotation matrix (3, 3) of the rotation vector `phi` (3,) in rad (Rodrigues)."""
+    a, b, _ = _coefficients(np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2))
+    return _quadratic(phi, a, b)
+
+
+@jit
+def quaternion(matrix: Array) -> Array:
+    """Hamilton quaternion ``q_wxyz`` (4,), w >= 0, of a rotation matrix (Shepperd 1978)."""
+    m = matrix
+    q = np.empty(4)
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    k = -1
+    best = trace
+    for i in range(3):
+        if m[i, i] > best:
+            best = m[i, i]
+            k = i
+    if k < 0:
+        q[0] = 1 + trace
+        q[1], q[2], q[3] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    else:
+        i, j = (k + 1) % 3, (k + 2) % 3
+        q[0] = m[j, i] - m[i, j]
+        q[1 + k] = 1 + 2 * m[k, k] - trace
+        q[1 + i] = m[i, k] + m[k, i]
+        q[1 + j] = m[j, k] + m[k, j]
+    norm = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    return q / (norm if q[0] >= 0 else -norm)
+
+
+@jit
+def from_quaternion(q_wxyz: Array) -> Array:
+    """Rotation matrix of a Hamilton quaternion, scalar first; normalises it."""
+    n = np.sqrt(q_wxyz[0] ** 2 + q_wxyz[1] ** 2 + q_wxyz[2] ** 2 + q_wxyz[3] ** 2)
+    w = q_wxyz[0] / n
+    v = q_wxyz[1:4] / n
+    return _quadratic(v, 2 * w, 2.0)
+
+
+@jit
+def log(matrix: Array) -> Array:
+    """Rotation vector (3,) in rad, angle at most pi. Through the quaternion, which keeps
+    all digits near 0 and near pi, where the trace formula has lost half of them."""
+    q = quaternion(matrix)
+    v = q[1:4].copy()
+    n = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    if n < 1e-12:
+        return 2.0 * v / q[0]
+    return (2 * np.arctan2(n, q[0]) / n) * v
+
+
+@jit
+def right_jacobian(phi: Array) -> Array:
+    """``J_r``: ``Exp(phi + d) = Exp(phi) Exp(J_r d)`` to first order."""
+    _, b, c = _coefficients(np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2))
+    return _quadratic(phi, -b, c)
+
+
+@jit
+def right_jacobian_inverse(phi: Array) -> Array:
+    """Inverse of :func:`right_jacobian`; finite for angles below 2 pi."""
+    t = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    s = t * t
+    if t < _SERIES:
+        c = (1 + s / 60 * (1 + s / 42 * (1 + s / 40 * (1 + s / 39.6)))) / 12
+    else:
+        c = (1 - 0.5 * t / np.tan(0.5 * t)) / s
+    return _quadratic(phi, 0.5, c)
+
+
+@jit
+def project(matrix: Array) -> Array:
+    """`matrix` with its rounding errors removed: the rotation nearest to first order.
+
+    One Newton step of the polar decomposition; for products of many rotations.
+    """
+    return multiply(matrix, 1.5 * np.eye(3) - 0.5 * transpose_multiply(matrix, matrix))

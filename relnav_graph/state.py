@@ -1,0 +1,265 @@
+"""State blocks, their layout in one vector, and the operations of the state manifold.
+
+A *block* is one physical quantity: an attitude on SO(3) or a vector. A `Layout` puts
+blocks one after the other: a *stored* vector x (nine numbers, row by row, for an
+attitude) and a *tangent* vector (three numbers for an attitude: the right perturbation,
+rad, in the frame on the right of its name).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.errors import InputError, ModelError
+from relnav_graph.units import unit_scale
+
+__all__ = ["Block", "Layout"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """One physical quantity of the state.
+
+    name: as in tables and files; symbol: as in figures; manifold: "SO3" or "vector";
+    dim: tangent dimension; unit: SI unit of the tangent; frame: letters of the frames
+    (``tc`` for an attitude R_tc; ``o`` for components in o); table_unit: what people
+    read in tables.
+    """
+
+    name: str
+    symbol: str
+    manifold: Literal["SO3", "vector"]
+    dim: int
+    unit: str
+    frame: str
+    table_unit: str
+
+    def __post_init__(self) -> None:
+        if self.manifold == "SO3" and self.dim != 3:
+            raise ModelError(f"block {self.name}: an SO3 block has dimension 3, not {self.dim}")
+        unit_scale(self.table_unit, self.unit)
+
+    @property
+    def size(self) -> int:
+        """Number of stored values: 9 for an attitude, else `dim`."""
+        return 9 if self.manifold == "SO3" else self.dim
+
+    @property
+    def table_scale(self) -> float:
+        """Factor from SI to the unit of the tables."""
+        return 1.0 / unit_scale(self.table_unit, self.unit)
+
+    def unpack(self, stored: Array) -> Array:
+        """Stored values (..., size) as (..., 3, 3) for an attitude, unchanged otherwise."""
+        return stored.reshape(*stored.shape[:-1], 3, 3) if self.manifold == "SO3" else stored
+
+    def pack(self, value: Any) -> Array:
+        """The inverse of :meth:`unpack`, for one value. Raises InputError when the shape
+        is wrong, a number is not finite, or a matrix is not a rotation within 1e-6."""
+        array = np.ascontiguousarray(value, dtype=np.float64)
+        shape = (3, 3) if self.manifold == "SO3" else (self.dim,)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputError(f"{self.name}: found {value!r}, expected finite numbers of {shape}")
+        if self.manifold == "SO3":
+            error = np.abs(array.T @ array - np.eye(3)).max()
+            if error > 1e-6 or np.linalg.det(array) < 0:
+                raise InputError(f"{self.name}: not a rotation (R^T R - I up to {error:.1e})")
+        return array.reshape(-1)
+
+    def local(self, a: Array, b: Array) -> Array:
+        """Tangent vector from value `a` to value `b`."""
+        if self.manifold == "SO3":
+            return so3.log(np.ascontiguousarray(a.T @ b))
+        return b - a
+
+
+@jit
+def _retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
+    """x (+) d; kinds has one row (is_SO3, stored offset, tangent offset, dim) a block."""
+    out = x.copy()
+    for k in range(kinds.shape[0]):
+        so3_block, i, j, n = kinds[k]
+        if so3_block:
+            matrix = x[i : i + 9].copy().reshape(3, 3)
+            product = so3.project(so3.multiply(matrix, so3.exp(d[j : j + 3])))
+            out[i : i + 9] = product.reshape(9)
+        else:
+            out[i : i + n] += d[j : j + n]
+    return out
+
+
+@jit
+def _local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
+    """The tangent vector d with a (+) d = b."""
+    out = np.empty(dim)
+    for k in range(kinds.shape[0]):
+        so3_block, i, j, n = kinds[k]
+        if so3_block:
+            left = a[i : i + 9].copy().reshape(3, 3)
+            right = b[i : i + 9].copy().reshape(3, 3)
+            out[j : j + 3] = so3.log(so3.transpose_multiply(left, right))
+        else:
+            out[j : j + n] = b[i : i + n] - a[i : i + n]
+    return out
+
+
+@jit
+def _jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
+    """Block-diagonal right Jacobian (or its inverse) of the retraction at d."""
+    out = np.eye(d.shape[0])
+    for k in range(kinds.shape[0]):
+        so3_block, _, j, _ = kinds[k]
+        if so3_block and inverse:
+            out[j : j + 3, j : j + 3] = so3.right_jacobian_inverse(d[j : j + 3])
+        elif so3_block:
+            out[j : j + 3, j : j + 3] = so3.right_jacobian(d[j : j + 3])
+    return out
+
+
+class Layout:
+    """Blocks in order, and where each stands in the stored and in the tangent vector.
+
+    Raises ModelError when one name is declared in two ways (two frames, say).
+    """
+
+    def __init__(self, blocks: Iterable[Block]) -> None:
+        unique: dict[str, Block] = {}
+        for block in blocks:
+            if unique.setdefault(block.name, block) != block:
+                raise ModelError(
+                    f"block {block.name!r} is declared twice, and differently: "
+                    f"{unique[block.name]} and {block}"
+                )
+        self.blocks: tuple[Block, ...] = tuple(unique.values())
+        self._stored: dict[str, slice] = {}
+        self._tangent: dict[str, slice] = {}
+        self.size = self.dim = 0
+        for block in self.blocks:
+            self._stored[block.name] = slice(self.size, self.size + block.size)
+            self._tangent[block.name] = slice(self.dim, self.dim + block.dim)
+            self.size += block.size
+            self.dim += block.dim
+
+    def __iter__(self) -> Iterator[Block]:
+        return iter(self.blocks)
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._stored
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Layout) and self.blocks == other.blocks
+
+    def __hash__(self) -> int:
+        return hash(self.blocks)
+
+    def __repr__(self) -> str:
+        return f"Layout({', '.join(b.name for b in self.blocks)})"
+
+    def block(self, name: str) -> Block:
+        """The block called `name`; raises ModelError when there is none."""
+        for block in self.blocks:
+            if block.name == name:
+                return block
+        raise ModelError(f"no block {name!r}; the state has {[b.name for b in self.blocks]}")
+
+    def stored(self, name: str) -> slice:
+        """Where the stored values of a block stand."""
+        return self._stored[self.block(name).name]
+
+    def tangent(self, name: str) -> slice:
+        """Where the tangent of a block stands: its rows and columns in a covariance."""
+        return self._tangent[self.block(name).name]
+
+    @cached_property
+    def kinds(self) -> NDArray[np.int64]:
+        """One row (is_SO3, stored offset, tangent offset, dim) per block."""
+        return np.array(
+            [
+                (
+                    b.manifold == "SO3",
+                    self._stored[b.name].start,
+                    self._tangent[b.name].start,
+                    b.dim,
+                )
+                for b in self.blocks
+            ],
+            dtype=np.int64,
+        ).reshape(-1, 4)
+
+    @cached_property
+    def identity(self) -> Array:
+        """The stored vector of identity attitudes and zero vectors."""
+        x = np.zeros(self.size)
+        for block in self.blocks:
+            if block.manifold == "SO3":
+                x[self._stored[block.name]] = np.eye(3).reshape(-1)
+        return x
+
+    def gather(self, blocks: Iterable[Block]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Indices of `blocks`, one after the other, in the stored and the tangent vector."""
+        names = [block.name for block in blocks]
+        stored = [np.arange(self.size)[self.stored(n)] for n in names]
+        tangent = [np.arange(self.dim)[self.tangent(n)] for n in names]
+        return np.concatenate(stored), np.concatenate(tangent)
+
+    def pack(self, values: Mapping[str, Any]) -> Array:
+        """Stored vector of a value per block. Raises InputError on a missing block."""
+        missing = [b.name for b in self.blocks if b.name not in values]
+        if missing:
+            raise InputError(f"no value for {missing}")
+        return np.concatenate([b.pack(values[b.name]) for b in self.blocks])
+
+    def value(self, x: Array, name: str) -> Array:
+        """Value of one block in stored vectors (..., size)."""
+        return self.block(name).unpack(x[..., self.stored(name)])
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """Value of each block by name."""
+        return {b.name: self.value(x, b.name) for b in self.blocks}
+
+    def retract(self, x: Array, d: Array) -> Array:
+        """``x (+) d``: R Exp(d) on attitudes, sum on vectors. (size,), (dim,) -> (size,)."""
+        return _retract(x, d, self.kinds)
+
+    def local(self, a: Array, b: Array) -> Array:
+        """The tangent vector (dim,) with ``a (+) d = b``."""
+        return _local(a, b, self.kinds, self.dim)
+
+    def right_jacobian(self, d: Array) -> Array:
+        """J with ``x (+) (d + e) = (x (+) d) (+) J e`` to first order, (dim, dim)."""
+        return _jacobian(d, self.kinds, False)
+
+    def right_jacobian_inverse(self, d: Array) -> Array:
+        """Inverse of :meth:`right_jacobian`."""
+        return _jacobian(d, self.kinds, True)
+
+
+# The catalogue: blocks that several models share. A model may declare others in its own
+# file. o is the orbital frame of the target, or, where a scenario has no orbit, a frame
+# that does not rotate.
+CHASER_ATTITUDE = Block("chaser_attitude", "R_oc", "SO3", 3, "rad", "oc", "deg")
+TARGET_ATTITUDE = Block("target_attitude", "R_ot", "SO3", 3, "rad", "ot", "deg")
+RELATIVE_ATTITUDE = Block("relative_attitude", "R_tc", "SO3", 3, "rad", "tc", "deg")
+RELATIVE_POSITION = Block("relative_position", "r_tc_o", "vector", 3, "m", "o", "m")
+RELATIVE_VELOCITY = Block("relative_velocity", "v_tc_o", "vector", 3, "m/s", "o", "m/s")
+RELATIVE_POSITION_T = Block("relative_position", "r_tc_t", "vector", 3, "m", "t", "m")
+RELATIVE_VELOCITY_T = Block("relative_velocity", "v_tc_t", "vector", 3, "m/s", "t", "m/s")
+TARGET_RATE = Block("target_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
+GYRO_BIAS = Block("gyro_bias", "b_c", "vector", 3, "rad/s", "c", "deg/h")
+#: artanh of the first two ratios l_x = (J_y - J_z) / J_x, l_y = (J_z - J_x) / J_y of the
+#: principal inertia. With k_z = -(k_x + k_y), l = tanh(k): l_x + l_y + l_z + l_x l_y l_z
+#: = 0 holds by the addition theorem, and every value belongs to a body of positive mass.
+INERTIA = Block("inertia_parameters", "k_t", "vector", 2, "1", "t", "1")

@@ -1,0 +1,79 @@
+"""The summary of a comparison as plain text for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = ["table"]
+
+
+def _text(value: float | None, form: str = ".4g") -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _aligned(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
+    """Columns named in `header` (split at "|"), words to the left, numbers to the right.
+
+    A column is at least as wide as its name; one whose name ends in a space is of words.
+    """
+    names = header.split("|")
+    table = [[name.strip() for name in names], *rows]
+    widths = [max(map(len, column)) for column in zip(names, *table, strict=True)]
+    return [
+        "  ".join(
+            text.ljust(width) if name.endswith(" ") else text.rjust(width)
+            for name, width, text in zip(names, widths, row, strict=True)
+        ).rstrip()
+        for row in table
+    ]
+
+
+def _overview(name: str, row: Mapping[str, Any]) -> list[str]:
+    low, high = row["anees_band"] or (None, None)
+    return [
+        name,
+        row["kind"],
+        row["status"],
+        _text(row["runtime_s"], ".3g"),
+        _text(row.get("step_ms", {}).get("median"), ".3g"),
+        _text(row["anees"], ".2f"),
+        "-" if low is None else f"{low:.2f}..{high:.2f}",
+        ", ".join(f"{sensor} {n}" for sensor, n in row["rejected"].items() if n) or "-",
+    ]
+
+
+def _state(name: str, width: int, kind: str, state: Mapping[str, Any]) -> list[str]:
+    return [
+        name.ljust(width),
+        kind,
+        *(_text(state.get(key)) for key in ("rmse", "rmse_last", "sigma")),
+        _text(state.get("anees"), ".2f"),
+        _text(state.get("inside_3sigma"), ".1%"),
+    ]
+
+
+def table(summary: Mapping[str, Any]) -> str:
+    """The object of :func:`relnav_graph.metrics.summary` as text, 100 columns wide.
+
+    First a row per estimator (status, run time in s, median step in ms, joint ANEES and
+    its 95 % band, rejected observations), then a block per state in its unit.
+    """
+    rows = summary["estimators"]
+    title = f"{summary['scenario']}: {summary['epochs']} epochs"
+    title += "" if summary["seed"] is None else f", seed {summary['seed']}"
+    overview = [_overview(name, row) for name, row in rows.items()]
+    header = "estimator |kind |status |run time s|step ms|ANEES|95 % band|rejected "
+    lines = [title, "", *_aligned(header, overview)]
+    lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
+    width = max(map(len, ["estimator", *rows]))  # the same columns in every block
+    units = {state: s["unit"] for row in rows.values() for state, s in row["states"].items()}
+    for state, unit in units.items():
+        block = [
+            _state(name, width, row["kind"], row["states"][state])
+            for name, row in rows.items()
+            if state in row["states"]
+        ]
+        header = "estimator |kind     |     rmse|rmse last|  1-sigma|   ANEES|inside 3-sigma"
+        lines += ["", state + ("" if unit == "1" else f" [{unit}]"), *_aligned(header, block)]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,65 @@
+"""`Track`: what an estimator gives, and `Truth`, what it is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.state import Layout
+
+__all__ = ["Kind", "Status", "Track", "Truth"]
+
+Array = NDArray[np.float64]
+Kind = Literal["filtered", "fixed-lag", "smoothed"]
+Status = Literal["ok", "degraded", "diverged"]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Estimates over a pass.
+
+    kind: what each epoch's estimate has seen: the past (filtered), a little of the future
+    (fixed-lag), everything (smoothed). t (N,) s; x (N, size) stored vectors; P (N, dim,
+    dim) covariances of the right perturbation, in the layout's order. status and message:
+    whether to trust it; rejected: observations not used, by sensor; step_s: time of each
+    online step, s; smoothed: for an online estimator, the track that it ends with.
+    """
+
+    name: str
+    kind: Kind
+    layout: Layout
+    t: Array
+    x: Array
+    P: Array
+    status: Status = "ok"
+    message: str = ""
+    runtime_s: float = 0.0
+    step_s: Array | None = None
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    smoothed: Track | None = None
+
+    def value(self, name: str) -> Array:
+        """Values of one block, (N, 3, 3) for an attitude, (N, dim) otherwise."""
+        return self.layout.value(self.x, name)
+
+    def covariance(self, name: str) -> Array:
+        """Covariance of one block, (N, dim, dim), SI."""
+        rows = self.layout.tangent(name)
+        return self.P[:, rows, rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """True values of blocks (and of derived quantities) at times t (N,).
+
+    values: by name, (N, 3, 3) or (N, dim), NaN where not known; source: where it is
+    from. A truth may know fewer blocks than an estimator has.
+    """
+
+    t: Array
+    values: Mapping[str, Array]
+    source: str = ""

@@ -1,0 +1,164 @@
+"""Figures of synthetic tracks: what is drawn, its limits and labels, and its files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from relnav_graph.plots import error_figures, save_figures, trajectory_figure
+from relnav_graph.state import GYRO_BIAS, INERTIA, RELATIVE_POSITION, TARGET_ATTITUDE, Layout
+from relnav_graph.track import Track, Truth
+
+LAYOUT = Layout([RELATIVE_POSITION, TARGET_ATTITUDE])
+N = 40
+
+
+def tracks() -> tuple[list[Track], Truth]:
+    """A filter with a transient a hundred times its later size, and a smoother."""
+    t = np.linspace(0.0, 390.0, N)
+    x = np.tile(LAYOUT.identity, (N, 1))
+    x[:, :3] = np.column_stack([np.cos(t / 60), 5 + np.sin(t / 60), t / 400])
+    truth = Truth(t, LAYOUT.values(x))
+    sigma = 0.1 + 10 * (np.arange(N) < 3)
+    P = sigma[:, None, None] ** 2 * np.eye(6)
+    off = x.copy()
+    off[:, :3] += sigma[:, None]
+    smoother = Track("batch", "smoothed", LAYOUT, t, x, np.tile(1e-4 * np.eye(6), (N, 1, 1)))
+    return [Track("ekf", "filtered", LAYOUT, t, off, P), smoother], truth
+
+
+def texts(figure: Figure) -> list[str]:
+    return [note.get_text() for ax in figure.axes for note in ax.texts]
+
+
+def legend(figure: Figure) -> list[str]:
+    return [text.get_text() for box in figure.legends for text in box.get_texts()]
+
+
+def test_a_panel_per_axis_with_units_and_frames() -> None:
+    pair, truth = tracks()
+    figures = error_figures(pair, truth, [])
+    assert list(figures) == ["relative_position", "target_attitude"]
+    labels = [ax.get_ylabel() for ax in figures["target_attitude"].axes]
+    assert labels == ["$x_{t}$ [deg]", "$y_{t}$ [deg]", "$z_{t}$ [deg]"]
+    assert "frame o" in figures["relative_position"].axes[0].get_title("left")
+    assert legend(figures["relative_position"]) == [
+        "ekf (filtered)",
+        "batch (smoothed)",
+        "±3 sigma",
+    ]
+
+
+def test_drawn_are_errors_and_three_sigma_in_table_units() -> None:
+    pair, truth = tracks()
+    ax = error_figures(pair[:1], truth, [])["relative_position"].axes[0]
+    low, high, error = (np.asarray(line.get_ydata()) for line in ax.lines[:3])
+    np.testing.assert_allclose(high, 3 * np.sqrt(pair[0].P[:, 0, 0]))
+    np.testing.assert_allclose(low, -high)
+    np.testing.assert_allclose(error, truth.values["relative_position"][:, 0] - pair[0].x[:, 0])
+    attitude = error_figures(pair[:1], truth, [])["target_attitude"].axes[0]
+    np.testing.assert_allclose(attitude.lines[1].get_ydata(), np.degrees(high))
+
+
+def test_a_transient_does_not_set_the_limits_and_is_named() -> None:
+    pair, truth = tracks()
+    figure = error_figures(pair, truth, [])["relative_position"]
+    low, high = figure.axes[0].get_ylim()
+    assert 0.3 < high < 0.6  # three sigma after the transient: 0.3 m
+    assert low == -high
+    assert texts(figure) == ["off scale: ekf to 30"] * 3
+    calm = error_figures(pair[1:], truth, [])["relative_position"]
+    assert texts(calm) == []
+
+
+@pytest.mark.parametrize("value", [1e6, np.nan])
+def test_a_diverged_track_does_not_crush_the_others(value: float) -> None:
+    pair, truth = tracks()
+    x = pair[0].x.copy()
+    x[:, :3] = value
+    lost = replace(pair[0], name="lost", x=x, status="diverged")
+    figure = error_figures([lost, *pair], truth, [])["relative_position"]
+    assert figure.axes[0].get_ylim()[1] < 0.6
+    assert texts(figure)[0].startswith("off scale: lost to " + ("1e+06" if value == 1e6 else "30"))
+
+
+def test_both_rows_of_an_online_estimator_are_drawn() -> None:
+    pair, truth = tracks()
+    online = replace(pair[0], name="isam2", smoothed=pair[1])
+    figure = error_figures([online], truth, [])["relative_position"]
+    assert legend(figure)[:2] == ["isam2 (filtered)", "isam2_smoothed (smoothed)"]
+
+
+def test_without_truth_sigma_alone() -> None:
+    pair, _ = tracks()
+    figure = error_figures(pair, None, [])["relative_position"]
+    assert "1-sigma" in figure.axes[0].get_title("left")
+    assert figure.axes[0].get_yscale() == "log"
+    assert len(figure.axes[0].lines) == 2
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), np.sqrt(pair[0].P[:, 0, 0]))
+
+
+def test_a_state_that_truth_does_not_know_is_still_drawn() -> None:
+    layout = Layout([GYRO_BIAS, INERTIA])
+    t = np.arange(5.0)
+    track = Track("a", "smoothed", layout, t, np.zeros((5, 5)), np.tile(np.eye(5), (5, 1, 1)))
+    figures = error_figures([track], Truth(t, {"gyro_bias": np.zeros((5, 3))}), [])
+    assert len(figures["inertia_parameters"].axes) == 2
+    assert "1-sigma" in figures["inertia_parameters"].axes[0].get_title("left")
+    assert "error" in figures["gyro_bias"].axes[0].get_title("left")
+
+
+def test_trajectory_shows_three_planes_at_one_scale() -> None:
+    pair, truth = tracks()
+    figure = trajectory_figure(pair, truth)
+    assert figure is not None
+    planes = [(ax.get_xlabel(), ax.get_ylabel()) for ax in figure.axes]
+    assert planes[0] == ("$y_{o}$ [m]", "$x_{o}$ [m]")
+    assert legend(figure)[:3] == ["truth", "ekf (filtered)", "batch (smoothed)"]
+    spans = [np.ptp(limits) for ax in figure.axes for limits in (ax.get_xlim(), ax.get_ylim())]
+    np.testing.assert_allclose(spans, spans[0])
+    for ax in figure.axes:  # truth lies within, the transient need not
+        path = np.asarray(ax.lines[0].get_xydata())
+        assert (path.min(axis=0) > [ax.get_xlim()[0], ax.get_ylim()[0]]).all()
+        assert (path.max(axis=0) < [ax.get_xlim()[1], ax.get_ylim()[1]]).all()
+
+
+def test_trajectory_without_truth_or_without_position() -> None:
+    pair, _ = tracks()
+    figure = trajectory_figure(pair, None)
+    assert figure is not None
+    assert "truth" not in legend(figure)
+    attitude = Layout([TARGET_ATTITUDE])
+    blind = replace(pair[1], layout=attitude, x=pair[1].x[:, 3:], P=pair[1].P[:, 3:, 3:])
+    assert trajectory_figure([blind], None) is None
+
+
+def test_files_are_the_same_byte_for_byte(tmp_path: Path) -> None:
+    pair, truth = tracks()
+
+    def write(folder: Path) -> dict[str, bytes]:
+        figures: dict[str, Any] = {"trajectory": trajectory_figure(pair, truth)}
+        return {path.name: path.read_bytes() for path in save_figures(figures, folder)}
+
+    first = write(tmp_path / "deep" / "first")
+    assert set(first) == {"trajectory.svg", "trajectory.png"}
+    assert first == write(tmp_path / "second")
+    assert b"<dc:date>" not in first["trajectory.svg"]
+
+
+def test_no_global_state_of_matplotlib_is_touched() -> None:
+    code = (
+        "import sys, matplotlib as m; before = dict(m.rcParams)\n"
+        "import relnav_graph.plots\n"
+        "assert dict(m.rcParams) == before\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+        "assert 'scipy.stats' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
