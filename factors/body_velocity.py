@@ -34,19 +34,20 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     R = x[3:12].copy().reshape(3, 3)
     turned = np.eye(3)
     path_c = np.zeros(3)
-    duration = 0.0
+    noise = np.zeros((3, 3))
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        duration += dt
         turn = u[row, 4:7] * dt
         path_c += so3.rotate(turned, so3.rotate(so3.right_jacobian(-turn), u[row, 1:4] * dt))
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    noise[i, j] += dt * turned[i, k] * p[k] ** 2 * turned[j, k]
         turned = so3.multiply(turned, so3.exp(turn))
     x_next[:] = x[:3] + so3.rotate(R, path_c)
     F[:, :3] = np.eye(3)
     F[:, 3:6] = -so3.multiply(R, so3.skew(path_c))
-    Q[:, :] = 0.0
-    for i in range(3):
-        Q[i, i] = p[0] ** 2 * duration
+    Q[:, :] = so3.multiply(so3.multiply(R, noise), np.ascontiguousarray(R.T))
     return 0
 
 
@@ -58,7 +59,8 @@ class BodyVelocity(DynamicsModel):
     chaser axes, and the gyro, which bends the path within a sample (the gyro's bias
     would move it by b v dt^2 / 2 only, and is left out). Barfoot 2017, section 7.2.
 
-    velocity_density: m/sqrt(s), white noise of the velocity; pose: whether position and
+    velocity_density: m/sqrt(s), white noise of the velocity, one for all axes of c or one
+    each; pose: whether position and
     attitude are r_tc_o and R_oc or r_tc_t and R_tc.
     """
 
@@ -66,7 +68,7 @@ class BodyVelocity(DynamicsModel):
     inputs: ClassVar[tuple[str, ...]] = ("velocity", "gyro")
     kernel = staticmethod(kernel)
 
-    velocity_density: Annotated[float, Quantity("m/sqrt(s)", positive=True)]
+    velocity_density: Annotated[Array, Quantity("m/sqrt(s)", (3,), positive=True, fill=True)]
     pose: Pose = "orbital"
 
     @property
@@ -78,4 +80,4 @@ class BodyVelocity(DynamicsModel):
         return (CHASER_ATTITUDE if self.pose == "orbital" else RELATIVE_ATTITUDE,)
 
     def constants(self) -> Array:
-        return np.array([self.velocity_density])
+        return self.velocity_density

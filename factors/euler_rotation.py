@@ -154,4 +154,4 @@ class InertiaRatios:
 
     def value(self, *x: Array) -> tuple[Array, Array]:
         """l (3,) and its Jacobian (3, 2)."""
-        return inertia_ratios(np.ascontiguousarray(x[0]))  # type: ignore[no-any-return]
+        return inertia_ratios(np.ascontiguousarray(x[0]))

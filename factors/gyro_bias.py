@@ -24,7 +24,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
     Attitude and bias noise are correlated: the bias walks while the attitude turns.
     """
-    orbit, density_v2, density_u2 = p[:4], p[4] ** 2, p[5] ** 2
+    orbit, density_v, density_u = p[:4], p[4:7], p[7:10]
     R_oc = x[:9].copy().reshape(3, 3)
     b = x[9:12]
     total = np.eye(6)
@@ -41,10 +41,11 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         total = so3.multiply(step, total)
         noise = so3.multiply(so3.multiply(step, noise), np.ascontiguousarray(step.T))
         for i in range(3):
-            noise[i, i] += density_v2 * dt + density_u2 * dt**3 / 3
-            noise[i, 3 + i] -= density_u2 * dt**2 / 2
-            noise[3 + i, i] -= density_u2 * dt**2 / 2
-            noise[3 + i, 3 + i] += density_u2 * dt
+            v2, u2 = density_v[i] ** 2, density_u[i] ** 2
+            noise[i, i] += v2 * dt + u2 * dt**3 / 3
+            noise[i, 3 + i] -= u2 * dt**2 / 2
+            noise[3 + i, i] -= u2 * dt**2 / 2
+            noise[3 + i, 3 + i] += u2 * dt
     R_oc = so3.multiply(frame_rotation(orbit, t, t + duration), R_oc)
     x_next[:9] = so3.project(R_oc).reshape(9)
     x_next[9:12] = b
@@ -61,17 +62,21 @@ class GyroBias(DynamicsModel):
     Source: Farrenkopf 1978; Crassidis and Junkins 2011, section 7.2; exact for a rate
     that is constant over each gyro sample.
 
-    angle_random_walk_density: rad/sqrt(s); bias_random_walk_density: rad/s^1.5; orbit:
-    the target's, None where o does not rotate. attitude: which block turns with the
-    chaser: R_oc, or R_tc of a target at rest in o.
+    angle_random_walk_density: rad/sqrt(s), bias_random_walk_density: rad/s^1.5, one for
+    all axes of c or one each; orbit: the target's, None where o does not rotate.
+    attitude: which block turns with the chaser: R_oc, or R_tc of a target at rest in o.
     """
 
     kind: ClassVar[str] = "gyro_bias"
     inputs: ClassVar[tuple[str, ...]] = ("gyro",)
     kernel = staticmethod(kernel)
 
-    angle_random_walk_density: Annotated[float, Quantity("rad/sqrt(s)", positive=True)]
-    bias_random_walk_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
+    angle_random_walk_density: Annotated[
+        Array, Quantity("rad/sqrt(s)", (3,), positive=True, fill=True)
+    ]
+    bias_random_walk_density: Annotated[
+        Array, Quantity("rad/s^1.5", (3,), positive=True, fill=True)
+    ]
     orbit: KeplerOrbit | None = None
     attitude: Literal["chaser_attitude", "relative_attitude"] = "chaser_attitude"
 
@@ -81,5 +86,5 @@ class GyroBias(DynamicsModel):
         return (CHASER_ATTITUDE if chaser else RELATIVE_ATTITUDE), GYRO_BIAS
 
     def constants(self) -> Array:
-        densities = [self.angle_random_walk_density, self.bias_random_walk_density]
-        return np.concatenate([orbit_array(self.orbit), densities])
+        densities = self.angle_random_walk_density, self.bias_random_walk_density
+        return np.concatenate([orbit_array(self.orbit), *densities])

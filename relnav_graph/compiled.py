@@ -44,7 +44,8 @@ INDICES = types.Array(types.int64, 1, "C")
 #: ``status = kernel(p, q, z, x, r, H)``: one observation (one beacon, one point, one fix).
 #: p constants of the sensor, q data of this observation, z measured value, x stored values
 #: of the blocks read, one after the other; fills all of r (residual, prediction minus
-#: measured) and of H (dr/dx in tangent coordinates), which come filled with NaN. A status other than 0 names a geometry failure.
+#: measured) and of H (dr/dx in tangent coordinates), which come filled with NaN. A status
+#: other than 0 names a geometry failure.
 SENSOR_KERNEL = types.int64(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
 
 #: ``status = kernel(p, t, u, x, x_next, F, Q)``: one interval from time t. u has one row
@@ -124,7 +125,7 @@ def dynamics_pointer(kernel: Any) -> Any:
     return _Pointer(kernel, DYNAMICS_KERNEL)
 
 
-def jit_as(*arguments: Any) -> Callable[[F], F]:
+def jit_as(*arguments: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Compile at the first call, for exactly these numba argument types, returning nothing.
 
     For the generic loops: an argument that is a kernel has the type
@@ -132,7 +133,7 @@ def jit_as(*arguments: Any) -> Callable[[F], F]:
     Calls skip numba's dispatch: arrays must be of the type and layout declared.
     """
 
-    def decorate(function: F) -> F:
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
         @cache
         def entry() -> Any:
             (compiled,) = _compile(function, types.void(*arguments)).overloads.values()  # type: ignore[attr-defined]
@@ -142,6 +143,6 @@ def jit_as(*arguments: Any) -> Callable[[F], F]:
         def call(*values: Any) -> None:
             entry()(*values)
 
-        return call  # type: ignore[return-value]
+        return call
 
     return decorate

@@ -37,8 +37,8 @@ Band = tuple[float, float]
 
 #: Truth and estimate are of one epoch when their times differ by less than this, s.
 _SAME_TIME = 1e-6
-#: An eigenvalue of a correlation matrix below this fraction of the largest is rounding:
-#: rank deficiency leaves about 1e-16, the strongest real correlations 1e-10.
+#: An eigenvalue of a correlation matrix below this fraction of the largest counts as zero:
+#: a constraint leaves about 1e-16, from rounding.
 _RANK = 1e-12
 
 
@@ -84,6 +84,7 @@ def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
     return block.unpack(value), jacobian
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of diverged tracks
 def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstimates]:
     """Every block of the track, and every derived quantity that its blocks give.
 
@@ -124,6 +125,7 @@ def _truth_at(t: Array, truth: Truth, derived: Sequence[Derived]) -> dict[str, A
     return values
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def deviations(
     states: Mapping[str, StateEstimates], t: Array, truth: Truth, derived: Sequence[Derived]
 ) -> dict[str, StateErrors]:

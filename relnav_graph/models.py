@@ -101,6 +101,9 @@ class Sensor(Protocol):
     def noise(self, m: Measurement) -> Array:
         """R (k, rows, rows) of each observation."""
 
+    def failure(self, status: int) -> str:
+        """What a non-zero status of the kernel means."""
+
     def residual(self, m: Measurement, *x: Array) -> tuple[Array, tuple[Array, ...]]:
         """r (k rows,) and its Jacobian to each block (k rows, dim). Raises GeometryError."""
 
@@ -124,6 +127,9 @@ class Dynamics(Protocol):
 
     def constants(self) -> Array:
         """p of the kernel."""
+
+    def failure(self, status: int) -> str:
+        """What a non-zero status of the kernel means."""
 
     def propagate(self, t: float, u: Array, *x: Array) -> tuple[Array, ...]:
         """The advanced blocks at the end of the interval."""

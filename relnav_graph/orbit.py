@@ -114,7 +114,7 @@ def two_body(r0: Array, v0: Array, mu: float, dt: float) -> tuple[Array, Array, 
     alpha = 2 / n0 - (v0[0] ** 2 + v0[1] ** 2 + v0[2] ** 2) / mu
     chi = _universal_anomaly(n0, sigma0, alpha, root * dt)
     c = stumpff(alpha * chi * chi)
-    u1, u2, u3 = chi * c[1], chi**2 * c[2], chi**3 * c[3]
+    u1, u2 = chi * c[1], chi**2 * c[2]
     u4, u5 = chi**4 * c[4], chi**5 * c[5]
     n1 = n0 * c[0] + sigma0 * u1 + u2
     f, g = 1 - u2 / n0, (n0 * u1 + sigma0 * u2) / root

@@ -79,9 +79,9 @@ class _Line:
     e: Array | None
 
     def reach(self, axis: int) -> Array:
-        """How far the error or its 3-sigma band reaches, (N,); NaN counts as 0."""
+        """How far the error or its 3-sigma band reaches, (N,); 0 where not finite."""
         error = np.zeros_like(self.sigma) if self.e is None else np.abs(self.e)
-        return np.nan_to_num(np.fmax(3 * self.sigma, error)[:, axis])
+        return np.nan_to_num(np.fmax(3 * self.sigma, error)[:, axis], posinf=0.0)
 
 
 def _lines(

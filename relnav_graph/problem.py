@@ -160,7 +160,8 @@ def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) 
         for block in process.advances:
             if block.name in advanced:
                 raise ModelError(
-                    f"block {block.name!r} is advanced by both {advanced[block.name]!r} and {name!r}"
+                    f"block {block.name!r} is advanced by both {advanced[block.name]!r}"
+                    f" and {name!r}"
                 )
             advanced[block.name] = name
     everything = [(n, b) for n, p in processes.items() for b in p.advances + p.reads]

@@ -1,175 +1,42 @@
-"""Scenario files: TOML -> checked settings -> models, prior and `Problem`.
-
-A file is checked as a whole: every error is reported at once, with its path in the file.
-"""
+"""Scenarios: checked settings become models, a prior and a `Problem`."""
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from relnav_graph import models, sim, so3
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
-from relnav_graph.registry import find_class
+from relnav_graph.settings import (
+    MISSING,
+    BlockPrior,
+    Problems,
+    ScenarioError,
+    ScenarioFile,
+    SensorOptions,
+    from_pydantic,
+    make_kind,
+    merge,
+    override,
+    read_toml,
+    shared_orbit,
+)
 from relnav_graph.state import Block, Layout
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity
 
-__all__ = ["Scenario", "ScenarioError", "json_schema", "load_scenario", "override"]
+__all__ = ["Scenario", "ScenarioError", "load_scenario", "make_scenario", "override", "read_toml"]
 
 Array = NDArray[np.float64]
-Problems = list[tuple[str, str]]
-Seconds = Annotated[float, Quantity("s", positive=True)]
-_STRICT = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-class ScenarioError(InputError):
-    """Everything that is wrong in a scenario; `problems` holds (path, message) pairs."""
-
-    def __init__(self, source: str, problems: Problems) -> None:
-        self.problems = problems
-        lines = "\n".join(f"  {path or '(file)'}: {message}" for path, message in problems)
-        count = "1 error" if len(problems) == 1 else f"{len(problems)} errors"
-        super().__init__(f"{source}: {count}\n{lines}")
-
-
-class TimeSettings(BaseModel):
-    """Epochs of a simulated pass: `epochs` of them, `step` apart, from t = 0."""
-
-    model_config = _STRICT
-
-    step: Seconds
-    epochs: int = Field(ge=1)
-
-
-class DataSettings(BaseModel):
-    """Where recorded data come from: a reader of `relnav_graph.io.readers`."""
-
-    model_config = _STRICT
-
-    reader: str
-    options: dict[str, Any] = {}
-
-
-class SensorOptions(BaseModel):
-    """Of a sensor, what belongs to no model: `gate`, the probability of the chi-square
-    gate on each observation, and `period`, how often it measures in simulation."""
-
-    model_config = _STRICT
-
-    gate: float | None = Field(default=None, gt=0, lt=1)
-    period: Seconds | None = None
-
-
-class BlockPrior(BaseModel):
-    """Prior of one block. sigma: one for all axes or one each, SI or strings with units.
-
-    mean: "drawn" about the truth with sigma (simulation only), "truth" itself, or values
-    (an attitude as a rotation vector).
-    """
-
-    model_config = _STRICT
-
-    sigma: Any
-    mean: Literal["drawn", "truth"] | list[Any] = "drawn"
-
-
-class ScenarioFile(BaseModel):
-    """The tables of a scenario file. Models are checked apart, by their `kind`."""
-
-    model_config = _STRICT
-
-    title: str
-    description: str = ""
-    seed: int = Field(default=0, ge=0)
-    estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]
-    evaluate: tuple[float, float] | None = None
-    time: TimeSettings | None = None
-    data: DataSettings | None = None
-    orbit: dict[str, Any] | None = None
-    truth: dict[str, Any] | None = None
-    inputs: dict[str, dict[str, Any]] = {}
-    processes: dict[str, dict[str, Any]] = Field(min_length=1)
-    sensors: dict[str, dict[str, Any]] = Field(min_length=1)
-    prior: dict[str, BlockPrior]
-
-
-def _path(prefix: str, location: Sequence[int | str]) -> str:
-    out = prefix
-    for part in location:
-        out += f"[{part}]" if isinstance(part, int) else f".{part}" if out else part
-    return out
-
-
-def _from_pydantic(prefix: str, error: ValidationError) -> Problems:
-    found = []
-    for e in error.errors():
-        message = e["msg"].removeprefix("Value error, ")
-        if "found" not in message and e["type"] != "missing":
-            message += f" (found {e['input']!r})"
-        found.append((_path(prefix, e["loc"]), message))
-    return found
-
-
-def _make(path: str, cls: type[Any], table: Mapping[str, Any], problems: Problems) -> Any:
-    """An instance of a dataclass from a table; problems collects what is wrong."""
-    names = [f.name for f in dataclasses.fields(cls) if f.init]
-    for key in table:
-        if key not in names:
-            near = difflib.get_close_matches(key, names, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; expected {', '.join(names)}"
-            problems.append((f"{path}.{key}", f"unknown key{hint}"))
-    known = {key: value for key, value in table.items() if key in names}
-    try:
-        return TypeAdapter(cls).validate_python(known)
-    except ValidationError as error:
-        problems += _from_pydantic(path, error)
-    except (InputError, ModelError) as error:
-        problems.append((path, str(error)))
-    return None
-
-
-def _make_kind(group: str, path: str, table: Mapping[str, Any], problems: Problems) -> Any:
-    kind = table.get("kind")
-    if not isinstance(kind, str):
-        problems.append((f"{path}.kind", f"found {kind!r}, expected the name of a kind"))
-        return None
-    try:
-        cls = find_class(group, kind)
-    except ModelError as error:
-        problems.append((f"{path}.kind", str(error)))
-        return None
-    rest = {key: value for key, value in table.items() if key != "kind"}
-    return _make(path, cls, rest, problems)
-
-
-def _shared_orbit(
-    group: str, table: Mapping[str, Any], orbit: Mapping[str, Any] | None
-) -> dict[str, Any]:
-    """The table with what the scenario's [orbit] gives to a model that asks for it."""
-    out = dict(table)
-    try:
-        cls = find_class(group, str(table.get("kind")))
-    except ModelError:
-        return out
-    names = {f.name for f in dataclasses.fields(cls)}
-    if orbit is not None and "orbit" in names:
-        out.setdefault("orbit", dict(orbit))
-    elif orbit is not None and "semi_major_axis" in names:
-        out = {**orbit, **out}
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +70,7 @@ class Scenario:
                 f"{self.name}: no [truth] and [time] to simulate from; give recorded data"
             )
         timings = {name: sim.Timing(o.period) for name, o in self.options.items()}
-        times = self.file.time.step * np.arange(self.file.time.epochs)
+        times = self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
         return sim.simulate(
             self.truth, self.inputs, self.processes, self.sensors, timings, times, seed, run
         )
@@ -288,16 +155,6 @@ def make_prior(
     return Prior(layout.retract(layout.pack(means), draw), np.diag(sigma**2))
 
 
-def _merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables; a value in `over` wins."""
-    out = dict(base)
-    for key, value in over.items():
-        inner = out.get(key)
-        both = isinstance(value, Mapping) and isinstance(inner, Mapping)
-        out[key] = _merge(inner, value) if both else value  # type: ignore[arg-type]
-    return out
-
-
 def make_scenario(
     raw: Mapping[str, Any], name: str, settings: Mapping[str, Any] | None = None
 ) -> Scenario:
@@ -306,13 +163,16 @@ def make_scenario(
     Raises ScenarioError with everything that is wrong.
     """
     sections = {"processes", "sensors"}
-    merged = _merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
+    # Before the data are read, what they will bring may be missing, and nothing else.
+    waiting = settings is None and "data" in raw
+    merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
     problems: Problems = []
+    file: ScenarioFile | None
     try:
         file = ScenarioFile.model_validate(merged)
     except ValidationError as error:
-        problems += _from_pydantic("", error)
-        file = None  # type: ignore[assignment]
+        problems += from_pydantic("", error)
+        file = None
     orbit = merged.get("orbit")
     made: dict[str, dict[str, Any]] = {"processes": {}, "sensors": {}}
     options: dict[str, SensorOptions] = {}
@@ -322,20 +182,23 @@ def make_scenario(
             path = f"{section}.{key}"
             if not isinstance(table, Mapping):
                 continue  # reported above
-            own = _shared_orbit(models.ENTRY_POINTS, table, orbit)
+            own = shared_orbit(models.ENTRY_POINTS, table, orbit)
             if section == "sensors":
                 general = {k: own.pop(k) for k in SensorOptions.model_fields if k in own}
                 try:
                     options[key] = SensorOptions.model_validate(general)
                 except ValidationError as error:
-                    problems += _from_pydantic(path, error)
-            model = _make_kind(models.ENTRY_POINTS, path, own, problems)
+                    problems += from_pydantic(path, error)
+            model = make_kind(models.ENTRY_POINTS, path, own, problems)
             contract = Dynamics if section == "processes" else Sensor
             if model is not None and not isinstance(model, contract):
                 problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
             found[key] = model
     truth, inputs = _make_truth(merged, orbit, problems)
-    if problems:
+    if waiting:
+        problems = [p for p in problems if p[1] != MISSING]
+        made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
+    if problems or file is None:
         raise ScenarioError(name, problems)
     try:
         layout = layout_of(made["processes"], made["sensors"])
@@ -354,45 +217,13 @@ def _make_truth(
 ) -> tuple[Any, dict[str, Any]]:
     truth, inputs = None, {}
     if isinstance(raw.get("truth"), Mapping):
-        own = _shared_orbit(sim.GROUP, raw["truth"], orbit)
-        truth = _make_kind(sim.GROUP, "truth", own, problems)
+        own = shared_orbit(sim.GROUP, raw["truth"], orbit)
+        truth = make_kind(sim.GROUP, "truth", own, problems)
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():
         if isinstance(table, Mapping):
-            inputs[key] = _make_kind(sim.GROUP, f"inputs.{key}", table, problems)
+            inputs[key] = make_kind(sim.GROUP, f"inputs.{key}", table, problems)
     return truth, inputs
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises ScenarioError when it cannot be read."""
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise ScenarioError(str(path), [("", f"cannot be read: {error.strerror}")]) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(str(path), [("", f"not valid TOML: {error}")]) from error
-
-
-def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
-    """The tables with ``key.path=value`` assignments made; values as in TOML, else text.
-
-    Raises InputError on an assignment that cannot be read.
-    """
-    out = dict(raw)
-    for text in assignments:
-        key, equals, value = text.partition("=")
-        parts = key.strip().split(".")
-        if not equals or not all(parts):
-            raise InputError(f"--set: found {text!r}, expected key.path=value")
-        try:
-            parsed: Any = tomllib.loads(f"v = {value}")["v"]
-        except tomllib.TOMLDecodeError:
-            parsed = value.strip()
-        nested: Any = parsed
-        for part in reversed(parts):
-            nested = {part: nested}
-        out = _merge(out, nested)
-    return out
 
 
 def load_scenario(
@@ -403,21 +234,3 @@ def load_scenario(
     """The scenario in a TOML file. Raises ScenarioError, or InputError on an assignment."""
     path = Path(path)
     return make_scenario(override(read_toml(path), assignments), path.stem, settings)
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of scenario files, for editors."""
-    schema = ScenarioFile.model_json_schema()
-    for section, group, contract in (
-        ("processes", models.ENTRY_POINTS, "advances"),
-        ("sensors", models.ENTRY_POINTS, "observables"),
-        ("inputs", sim.GROUP, "sample"),
-    ):
-        choices = []
-        for kind, cls in models.classes(group).items():
-            if hasattr(cls, contract):
-                choice = TypeAdapter(cls).json_schema()
-                choice["properties"] = {"kind": {"const": kind}, **choice.get("properties", {})}
-                choices.append(choice)
-        schema["properties"][section]["additionalProperties"] = {"anyOf": choices}
-    return schema

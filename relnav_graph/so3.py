@@ -148,7 +148,8 @@ def quaternion(matrix: Array) -> Array:
         q[1 + i] = m[i, k] + m[k, i]
         q[1 + j] = m[j, k] + m[k, j]
     norm = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    return q / (norm if q[0] >= 0 else -norm)
+    q /= norm if q[0] >= 0 else -norm
+    return q
 
 
 @jit
@@ -167,9 +168,8 @@ def log(matrix: Array) -> Array:
     q = quaternion(matrix)
     v = q[1:4].copy()
     n = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    if n < 1e-12:
-        return 2.0 * v / q[0]
-    return (2 * np.arctan2(n, q[0]) / n) * v
+    v *= 2.0 / q[0] if n < 1e-12 else 2 * np.arctan2(n, q[0]) / n
+    return v
 
 
 @jit

@@ -84,7 +84,7 @@ class Block:
 
 
 @jit
-def _retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
+def retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
     """x (+) d; kinds has one row (is_SO3, stored offset, tangent offset, dim) a block."""
     out = x.copy()
     for k in range(kinds.shape[0]):
@@ -99,7 +99,7 @@ def _retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
 
 
 @jit
-def _local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
+def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
     """The tangent vector d with a (+) d = b."""
     out = np.empty(dim)
     for k in range(kinds.shape[0]):
@@ -114,7 +114,7 @@ def _local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
 
 
 @jit
-def _jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
+def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
     """Block-diagonal right Jacobian (or its inverse) of the retraction at d."""
     out = np.eye(d.shape[0])
     for k in range(kinds.shape[0]):
@@ -232,19 +232,19 @@ class Layout:
 
     def retract(self, x: Array, d: Array) -> Array:
         """``x (+) d``: R Exp(d) on attitudes, sum on vectors. (size,), (dim,) -> (size,)."""
-        return _retract(x, d, self.kinds)
+        return retract(x, d, self.kinds)
 
     def local(self, a: Array, b: Array) -> Array:
         """The tangent vector (dim,) with ``a (+) d = b``."""
-        return _local(a, b, self.kinds, self.dim)
+        return local(a, b, self.kinds, self.dim)
 
     def right_jacobian(self, d: Array) -> Array:
         """J with ``x (+) (d + e) = (x (+) d) (+) J e`` to first order, (dim, dim)."""
-        return _jacobian(d, self.kinds, False)
+        return block_jacobian(d, self.kinds, False)
 
     def right_jacobian_inverse(self, d: Array) -> Array:
         """Inverse of :meth:`right_jacobian`."""
-        return _jacobian(d, self.kinds, True)
+        return block_jacobian(d, self.kinds, True)
 
 
 # The catalogue: blocks that several models share. A model may declare others in its own

@@ -118,13 +118,15 @@ class Quantity:
     """Unit, shape and sign of a parameter, as ``Annotated[float, Quantity("rad/s")]``.
 
     Scenario files may give it as a string with any unit of the same kind; code gives SI.
-    shape: () for a number; None in a shape stands for any length.
+    shape: () for a number; None in a shape stands for any length. fill: one number may
+    stand for all axes.
     """
 
     unit: str
     shape: tuple[int | None, ...] = ()
     positive: bool = False
     nonnegative: bool = False
+    fill: bool = False
 
     def check(self, value: Any) -> Any:
         """`value` as a float, or as a read-only C-contiguous float64 array.
@@ -135,6 +137,8 @@ class Quantity:
             array = np.array(value, dtype=np.float64, order="C")
         except (TypeError, ValueError) as error:
             raise InputError(f"found {value!r}, expected numbers in {self.unit}") from error
+        if self.fill and array.ndim == 0:
+            array = np.full([n or 1 for n in self.shape], array)
         if len(array.shape) != len(self.shape) or any(
             want is not None and want != got
             for want, got in zip(self.shape, array.shape, strict=True)
@@ -185,7 +189,7 @@ def check_fields(instance: Any) -> None:
 
     Call it in ``__post_init__``. Raises InputError with the name of the field.
     """
-    quantities = _quantities(type(instance))
+    quantities = _quantities(type(instance))  # type: ignore[arg-type]
     for field in dataclasses.fields(instance):
         value = getattr(instance, field.name)
         if field.name in quantities and value is not None:

@@ -64,13 +64,14 @@ def update(
     x, x_next = x0, x0
     rows = assembly.measure(x0[None], weights)
     cost = _cost(layout, x0, whiten, x0, rows)
-    gain = H = np.zeros((0, 0))
+    H: Array = rows.H
+    gain: Array = H.T
     for iteration in range(iterations):
         e = layout.local(x0, x)
         J_inverse = layout.right_jacobian(e)
         H = rows.H @ J_inverse  # to perturbations in the tangent of x0
         S = H @ P0 @ H.T + np.eye(len(rows.r))
-        gain = np.linalg.solve(S, H @ P0).T
+        gain = np.linalg.solve(S, H @ P0).T.astype(np.float64, copy=False)
         step = J_inverse @ (-gain @ (rows.r - H @ e) - e)
         if iterations == 1:
             x_next = layout.retract(x, step)
@@ -151,7 +152,8 @@ def judge(rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
 def filter_pass(problem: Problem, iterations: int) -> tuple[list[FilterStep], list[float], str]:
     """All steps, the time of each in s, and why the filter stopped early (or "")."""
     kalman = KalmanFilter(problem, iterations)
-    steps, seconds = [], []
+    steps: list[FilterStep] = []
+    seconds: list[float] = []
     for epoch in problem.epochs:
         start = time.perf_counter()
         try:

@@ -28,7 +28,7 @@ def innovation_weights(
     assembly: Assembly, rows: MeasurementRows, P: Array, gates: Mapping[str, float]
 ) -> Array:
     """1 or 0 for each observation of one epoch, by its innovation against H P H^T + R."""
-    weights = (rows.status == 0).astype(float)
+    weights: Array = (rows.status == 0).astype(np.float64)
     if not gates:
         return weights
     limits = _thresholds(assembly, gates)
@@ -47,7 +47,8 @@ def residual_weights(
     limits = _thresholds(assembly, gates)
     total = np.concatenate(([0.0], np.cumsum(rows.r**2)))
     squares = np.diff(total[assembly.observation_rows], axis=1)[:, 0]
-    return ((rows.status == 0) & (squares <= limits)).astype(float)
+    weights: Array = ((rows.status == 0) & (squares <= limits)).astype(np.float64)
+    return weights
 
 
 def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
-from relnav_graph.chain import chain_factors, epoch_factor, interval_factor, prior_rows
+from relnav_graph.chain import chain_factors, epoch_factor, interval_factor
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import Solution, solve_gated
 from relnav_graph.estimators.ekf import judge, nan_tail, symmetric, update
@@ -79,7 +79,6 @@ class IncrementalSmoother:
 
         Raises EstimationError when the estimate is not finite or not determined.
         """
-        layout = self.problem.layout
         t_before = self.epochs[-1].t if self.epochs else None
         assembly = self._assemble([epoch], t_before)
         x, P, whiten = self.x, self.P, np.zeros((0, 0, 0))

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from relnav_graph import __version__
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
-from relnav_graph.io.tables import (
+from relnav_graph.io.columns import (
     Format,
     Table,
     component_columns,

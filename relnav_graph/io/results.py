@@ -2,36 +2,32 @@
 
 Each track is a group of its name, what it ends with smoothed a group ``NAME_smoothed``,
 the truth a group ``truth``. Attitudes are kept as quaternions, covariances as they are.
-The definitions of the blocks stand beside the numbers, so that reading needs nothing
-else, and a digest of all content, because HDF5 by itself reads flipped bits as data.
+The definitions of the blocks stand beside the numbers, so that reading needs nothing else.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5netcdf
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import __version__
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
-from relnav_graph.io.tables import component_columns, from_components, to_components, write_table
+from relnav_graph.io.columns import component_columns, from_components, to_components, write_table
+from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
 from relnav_graph.state import Block, Layout
 from relnav_graph.track import Track, Truth
 
 __all__ = ["read_results", "write_csv", "write_results"]
 
 Array = NDArray[np.float64]
-Attributes = dict[str, str | float | int]
 
 _FORMAT = "relnav-graph results"
 _VERSION = 1
@@ -39,22 +35,7 @@ _VERSION = 1
 _OWN = ("format", "format_version", "writer", "tracks", "sha256")
 
 
-@dataclass(frozen=True)
-class _Variable:
-    dimensions: tuple[str, ...]
-    values: Array
-    attributes: Attributes
-
-
-@dataclass(frozen=True)
-class _Group:
-    """What a group of the file holds; dimensions follow from the variables."""
-
-    attributes: Attributes
-    variables: dict[str, _Variable] = field(default_factory=dict)
-
-
-def _block_variable(block: Block, values: Array) -> _Variable:
+def _block_variable(block: Block, values: Array) -> Variable:
     """A block over time, with its definition in the attributes."""
     quaternion = block.manifold == "SO3"
     what = ", Hamilton quaternion, scalar first (q_wxyz)" if quaternion else ""
@@ -69,10 +50,10 @@ def _block_variable(block: Block, values: Array) -> _Variable:
         "table_units": block.table_unit,
     }
     components = to_components(block, values)
-    return _Variable(("time", f"{block.name}_component"), components, attributes)
+    return Variable(("time", f"{block.name}_component"), components, attributes)
 
 
-def _block_of(name: str, variable: _Variable) -> Block:
+def _block_of(name: str, variable: Variable) -> Block:
     a = variable.attributes
     texts = {k: str(a[k]) for k in ("symbol", "frame")}
     manifold: Any = a["manifold"]
@@ -84,12 +65,12 @@ def _tangent_columns(block: Block) -> tuple[str, ...]:
     return component_columns(replace(block, manifold="vector"))
 
 
-def _time(t: Array) -> _Variable:
+def _time(t: Array) -> Variable:
     long_name = "time since the epoch of the scenario"
-    return _Variable(("time",), np.asarray(t), {"units": "s", "long_name": long_name})
+    return Variable(("time",), np.asarray(t), {"units": "s", "long_name": long_name})
 
 
-def _track_group(track: Track, smoothed: str) -> _Group:
+def _track_group(track: Track, smoothed: str) -> Group:
     blocks = list(track.layout)
     variables = {"time": _time(track.t)}
     variables |= {b.name: _block_variable(b, track.value(b.name)) for b in blocks}
@@ -99,10 +80,10 @@ def _track_group(track: Track, smoothed: str) -> _Group:
         "state_names": " ".join(f"{b.name}_{c}" for b in blocks for c in _tangent_columns(b)),
     }
     # Two names for one length: xarray cannot work with a dimension that occurs twice.
-    variables["covariance"] = _Variable(("time", "state", "state_2"), track.P, covariance)
+    variables["covariance"] = Variable(("time", "state", "state_2"), track.P, covariance)
     if track.step_s is not None:
         step: Attributes = {"units": "s", "long_name": "computing time of each online step"}
-        variables["step_s"] = _Variable(("step",), track.step_s, step)
+        variables["step_s"] = Variable(("step",), track.step_s, step)
     attributes: Attributes = {
         "name": track.name,
         "kind": track.kind,
@@ -112,51 +93,16 @@ def _track_group(track: Track, smoothed: str) -> _Group:
         "rejected": json.dumps({k: int(v) for k, v in track.rejected.items()}),
         "smoothed": smoothed,
     }
-    return _Group(attributes, variables)
+    return Group(attributes, variables)
 
 
-def _truth_group(truth: Truth, blocks: Mapping[str, Block]) -> _Group:
+def _truth_group(truth: Truth, blocks: Mapping[str, Block]) -> Group:
     variables = {"time": _time(truth.t)}
     for name, values in truth.values.items():
         if name not in blocks:
             raise InputError(f"truth of {name!r}, which no track estimates: give its block")
         variables[name] = _block_variable(blocks[name], values)
-    return _Group({"source": truth.source}, variables)
-
-
-def _digest(groups: Mapping[str, _Group]) -> str:
-    """SHA-256 over names, attributes and numbers, whatever order the file keeps them in."""
-    sha = hashlib.sha256()
-    for name, group in sorted(groups.items()):
-        sha.update(repr((name, sorted(group.attributes.items()))).encode())
-        for key, v in sorted(group.variables.items()):
-            sha.update(repr((key, v.dimensions, v.values.shape)).encode())
-            sha.update(repr(sorted(v.attributes.items())).encode())
-            sha.update(np.ascontiguousarray(v.values, dtype="<f8").tobytes())
-    return sha.hexdigest()
-
-
-def _write_group(target: Any, group: _Group) -> None:
-    target.attrs.update(group.attributes)
-    for name, variable in group.variables.items():
-        for dimension, size in zip(variable.dimensions, variable.values.shape, strict=True):
-            if dimension not in target.dimensions:
-                target.dimensions[dimension] = size
-        created = target.create_variable(
-            name, variable.dimensions, dtype="f8", data=np.asarray(variable.values, np.float64)
-        )
-        created.attrs.update(variable.attributes)
-
-
-def _read_group(source: Any) -> _Group:
-    def attributes(attrs: Mapping[str, Any]) -> Attributes:
-        return {k: v if isinstance(v, str) else np.asarray(v).item() for k, v in attrs.items()}
-
-    variables = {
-        name: _Variable(v.dimensions, np.asarray(v[...]), attributes(v.attrs))
-        for name, v in source.variables.items()
-    }
-    return _Group(attributes(source.attrs), variables)
+    return Group({"source": truth.source}, variables)
 
 
 def write_results(
@@ -172,7 +118,7 @@ def write_results(
     two groups would bear one name, when a truth has no definition, or when the file
     cannot be written; what stood there is then as before.
     """
-    groups: dict[str, _Group] = {}
+    groups: dict[str, Group] = {}
     for track in tracks:
         parts = [(track.name, track)]
         if track.smoothed is not None:
@@ -188,16 +134,12 @@ def write_results(
         if key in _OWN:
             raise InputError(f"the attribute {key!r} is the format's own")
     order = json.dumps([track.name for track in tracks])
-    root: Attributes = {"format": _FORMAT, "format_version": _VERSION, "tracks": order}
-    groups[""] = _Group({**attributes, **root, "writer": f"relnav-graph {__version__}"})
-    digest = _digest(groups)
-    with atomic(path) as staged, h5netcdf.File(staged, "w", invalid_netcdf=False) as file:
-        for name, group in groups.items():
-            _write_group(file.create_group(name) if name else file, group)
-        file.attrs["sha256"] = digest
+    own: Attributes = {"writer": f"relnav-graph {__version__}", "tracks": order}
+    groups[""] = Group({**attributes, **own})
+    write_groups(path, _FORMAT, _VERSION, groups)
 
 
-def _track(groups: Mapping[str, _Group], name: str) -> Track:
+def _track(groups: Mapping[str, Group], name: str) -> Track:
     variables, a = groups[name].variables, groups[name].attributes
     order = str(variables["covariance"].attributes["block_order"]).split()
     layout = Layout(_block_of(key, variables[key]) for key in order)
@@ -222,7 +164,7 @@ def _track(groups: Mapping[str, _Group], name: str) -> Track:
     )
 
 
-def _truth(group: _Group) -> Truth:
+def _truth(group: Group) -> Truth:
     values = {
         name: from_components(_block_of(name, variable), variable.values)
         for name, variable in group.variables.items()
@@ -239,29 +181,11 @@ def read_results(
     Raises InputError on a file that is missing, truncated, damaged, of another program or
     of another version.
     """
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        # Through h5py: a file that h5netcdf fails to open leaves an object that complains
-        # on standard error when it is deleted.
-        with h5py.File(path, "r") as raw, h5netcdf.File(raw, "r") as file:
-            root = _read_group(file)
-            if root.attributes.get("format") != _FORMAT:
-                raise InputError(f"{path}: not a file of {_FORMAT}")
-            if root.attributes.get("format_version") != _VERSION:
-                found = root.attributes.get("format_version")
-                raise InputError(f"{path}: found format version {found}, expected {_VERSION}")
-            groups = {name: _read_group(group) for name, group in file.groups.items()}
-        digest = root.attributes.pop("sha256", None)
-        if _digest({**groups, "": root}) != digest:
-            raise InputError(f"{path}: damaged or changed: the digest does not match its content")
-        tracks = [_track(groups, name) for name in json.loads(str(root.attributes["tracks"]))]
-        truth = _truth(groups["truth"]) if "truth" in groups else None
-    except InputError:
-        raise
-    except Exception as error:  # damaged bytes lead HDF5 to all kinds of errors
-        raise InputError(f"{path}: not a readable results file: {error}") from error
-    return tracks, truth, {k: str(v) for k, v in root.attributes.items() if k not in _OWN}
+    groups = read_groups(path, _FORMAT, _VERSION)
+    attributes = groups[""].attributes
+    tracks = [_track(groups, name) for name in json.loads(str(attributes["tracks"]))]
+    truth = _truth(groups["truth"]) if "truth" in groups else None
+    return tracks, truth, {k: str(v) for k, v in attributes.items() if k not in _OWN}
 
 
 def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -68,13 +69,12 @@ class OwnModels:
         start = np.zeros(layout.dim)
         for name, value in self.initial.items():
             array = np.asarray(value, dtype=np.float64)
-            if array.shape != (layout.block(name).dim,):
-                raise InputError(
-                    f"truth.initial.{name}: found {value!r}, expected {layout.block(name).dim} numbers"
-                )
+            dim = layout.block(name).dim
+            if array.shape != (dim,):
+                raise InputError(f"truth.initial.{name}: found {value!r}, expected {dim} numbers")
             start[layout.tangent(name)] = array
         xs = [layout.retract(layout.identity, start)]
-        for t0, t1 in zip(times[:-1], times[1:], strict=True):
+        for t0, t1 in pairwise(times):
             values = layout.values(xs[-1])
             x_next = dict(values)
             step = np.zeros(layout.dim)

@@ -1,0 +1,69 @@
+"""The command line: ``relnav COMMAND``. Commands load at their first use."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import click
+
+from relnav_graph import __version__
+
+__all__ = ["main"]
+
+#: Command, and what ``relnav --help`` says of it: its module is loaded only when it runs.
+COMMANDS = {
+    "compare": "Run several estimators on the same pass and score them.",
+    "simulate": "Simulate a scenario into a data set.",
+    "smooth": "Smooth the recorded pass of a data set.",
+    "validate": "Check a scenario or a data set: every error, with its path.",
+    "list": "List models, estimators, truths, readers and scenarios.",
+    "convert": "Convert between data folders, data sets and results.",
+}
+
+
+class _Lazy(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"relnav_graph.commands.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="relnav")
+def _relnav() -> None:
+    """Relative navigation: factor-graph smoothing compared with Kalman filters.
+
+    Exit codes: 0 all good; 2 the input is wrong; 3 an estimate is degraded or diverged
+    (results are still written, and marked).
+    """
+
+
+def main(argv: list[str] | None = None) -> Any:
+    """Run the command line; errors of the input end with exit code 2."""
+    from relnav_graph.errors import RelnavError
+
+    try:
+        code = _relnav.main(argv, prog_name="relnav", standalone_mode=False)
+    except click.Abort:
+        click.echo("interrupted", err=True)
+        sys.exit(130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except RelnavError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(0)
+    sys.exit(code if isinstance(code, int) else 0)

@@ -1,0 +1,145 @@
+"""One module per command of the command line, and what they share."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from relnav_graph.errors import InputError
+from relnav_graph.estimators import run_estimator
+from relnav_graph.io.dataset import read_dataset, read_scenario_of
+from relnav_graph.io.readers import read_raw
+from relnav_graph.metrics import summary
+from relnav_graph.models import derived_quantities
+from relnav_graph.recording import Recording
+from relnav_graph.scenario import Scenario, load_scenario, make_scenario
+from relnav_graph.settings import override, read_toml
+from relnav_graph.track import Track
+
+__all__ = ["Pass", "estimate", "is_dataset", "open_pass", "show_progress", "write_outputs"]
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """A scenario with the recording it is run on; seed None when the data are recorded."""
+
+    scenario: Scenario
+    recording: Recording
+    seed: int
+    simulated: bool
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder is a data set (it has a scenario.toml)."""
+    return (folder / "scenario.toml").is_file()
+
+
+def _recorded(scenario: Scenario, folder: Path) -> tuple[Scenario, Recording]:
+    """The recording in a data set; a sensor's table is read by the scenario's model."""
+    blocks = {b.name: b for b in scenario.layout}
+    return scenario, read_dataset(folder, scenario.sensors, scenario.input_names, blocks)
+
+
+def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
+    """A data set with its own scenario. Raises InputError on whatever is wrong."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    raw = override(read_scenario_of(folder), assignments)
+    scenario, recording = _recorded(make_scenario(raw, folder.name), folder)
+    return Pass(scenario, recording, scenario.file.seed, False)
+
+
+def open_pass(path: Path, seed: int | None, data: Path | None, assignments: Sequence[str]) -> Pass:
+    """A scenario with simulated data, a data set, or a folder that its reader knows.
+
+    Raises InputError on whatever is wrong with any of them.
+    """
+    if data is None:
+        scenario = load_scenario(path, assignments)
+        seed = scenario.file.seed if seed is None else seed
+        return Pass(scenario, scenario.simulate(seed), seed, True)
+    if not data.is_dir():
+        raise InputError(f"--data {data}: no such folder")
+    if is_dataset(data):
+        scenario, recording = _recorded(load_scenario(path, assignments), data)
+    else:
+        recording = read_folder(path, data, assignments)
+        scenario = load_scenario(path, assignments, recording.settings)
+    return Pass(scenario, recording, scenario.file.seed if seed is None else seed, False)
+
+
+def read_folder(path: Path, folder: Path, assignments: Sequence[str]) -> Recording:
+    """What the reader that a scenario names makes of a raw folder."""
+    settings = override(read_toml(path), assignments).get("data")
+    if not isinstance(settings, dict) or "reader" not in settings:
+        raise InputError(
+            f"{folder}: no scenario.toml in it, and {path} names no [data] reader for raw folders"
+        )
+    return read_raw(str(settings["reader"]), folder, settings.get("options", {}))
+
+
+def show_progress(text: str) -> None:
+    """One line on standard error, for work that takes seconds."""
+    click.echo(text, err=True)
+
+
+def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, Any]]:
+    """Run estimators on one problem; their tracks, and the summary of section `--json`."""
+    problem = run.scenario.problem(run.recording, run.seed)
+    tracks = []
+    for kind in dict.fromkeys(kinds or run.scenario.file.estimators):
+        show_progress(f"{kind}: {len(problem.epochs)} epochs ...")
+        tracks.append(run_estimator(kind, problem))
+    found = summary(
+        run.scenario.name,
+        run.seed if run.simulated else None,
+        tracks,
+        run.recording.truth,
+        derived_quantities(run.scenario.layout),
+        run.scenario.file.evaluate,
+        len(problem.epochs),
+    )
+    return tracks, found
+
+
+def write_outputs(out: Path, run: Pass, tracks: Sequence[Track], found: dict[str, Any]) -> None:
+    """Results, summary and figures in the folder `out`. Raises InputError."""
+    from relnav_graph.io.atomic import atomic
+    from relnav_graph.io.results import write_results
+    from relnav_graph.plots import error_figures, save_figures, trajectory_figure
+
+    show_progress(f"writing {out} ...")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o {out}: {error.strerror}") from error
+    attributes = {"scenario": run.scenario.name, "title": run.scenario.file.title}
+    write_results(out / "results.nc", tracks, run.recording.truth, attributes)
+    with atomic(out / "summary.json") as staged:
+        staged.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", "utf-8")
+    derived = derived_quantities(run.scenario.layout)
+    figures = error_figures(tracks, run.recording.truth, derived)
+    path = trajectory_figure(tracks, run.recording.truth, derived)
+    if path is not None:
+        figures["trajectory"] = path
+    save_figures(figures, out / "figures")
+
+
+def report(found: dict[str, Any], as_json: bool) -> int:
+    """Print the summary; the exit code, 3 when an estimate is not to be trusted."""
+    from relnav_graph.tables import table
+
+    if as_json:
+        click.echo(json.dumps(found, allow_nan=False))
+    else:
+        click.echo(table(found))
+    bad = [n for n, row in found["estimators"].items() if row["status"] != "ok"]
+    for name in bad:
+        row = found["estimators"][name]
+        click.echo(f"{name}: {row['status']}: {row['message']}", err=True)
+    return 3 if bad else 0

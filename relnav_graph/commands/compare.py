@@ -1,0 +1,38 @@
+"""``relnav compare``: several estimators on the same pass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from relnav_graph.commands import estimate, open_pass, report, write_outputs
+
+
+@click.command("compare")
+@click.argument("scenario", type=click.Path(path_type=Path))
+@click.option("-e", "--estimator", "kinds", multiple=True, help="Estimator; may be repeated.")
+@click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
+@click.option("--data", type=click.Path(path_type=Path), help="Recorded data to use.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for results.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(
+    scenario: Path,
+    kinds: tuple[str, ...],
+    seed: int | None,
+    data: Path | None,
+    assignments: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Run estimators on SCENARIO and score them against the truth.
+
+    The pass is simulated, or recorded (--data: a data set, or a folder for the reader
+    that the scenario names). All estimators get the same measurements, models and prior.
+    """
+    run = open_pass(scenario, seed, data, assignments)
+    tracks, found = estimate(run, kinds)
+    if out is not None:
+        write_outputs(out, run, tracks, found)
+    return report(found, as_json)

@@ -1,0 +1,47 @@
+"""``relnav convert``: between data folders, data sets and results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from relnav_graph.commands import is_dataset, open_dataset, open_pass, show_progress
+from relnav_graph.errors import InputError
+from relnav_graph.io.dataset import Format, write_dataset
+from relnav_graph.io.results import read_results, write_csv
+
+
+@click.command("convert")
+@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
+@click.option("--scenario", type=click.Path(path_type=Path), help="For a raw folder: its scenario.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+@click.option("--parquet", is_flag=True, help="Parquet tables instead of CSV (extra: data).")
+def command(
+    source: Path, target: Path, scenario: Path | None, assignments: tuple[str, ...], parquet: bool
+) -> None:
+    r"""Convert IN to OUT.
+
+    \b
+    results.nc        -> folder of CSV tables, one per estimator
+    data set          -> data set (CSV or, with --parquet, Parquet tables)
+    raw data folder   -> data set, by the reader that --scenario names
+    """
+    if source.is_file():
+        tracks, _, _ = read_results(source)
+        write_csv(target, tracks)
+        show_progress(f"{target}: {len(tracks)} tracks")
+        return
+    if is_dataset(source):
+        run = open_dataset(source, assignments)
+    elif scenario is not None:
+        run = open_pass(scenario, None, source, assignments)
+    elif source.is_dir():
+        raise InputError(f"{source}: no scenario.toml in it; a raw folder needs --scenario")
+    else:
+        raise InputError(f"{source}: found nothing, expected a results file or a folder")
+    blocks = {b.name: b for b in run.scenario.layout}
+    tables: Format = "parquet" if parquet else "csv"
+    write_dataset(target, run.scenario.raw, run.recording, run.scenario.sensors, blocks, tables)
+    show_progress(f"{target}: {len(run.recording.times)} epochs")

@@ -1,0 +1,49 @@
+"""``relnav list``: what there is."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+
+import click
+
+from relnav_graph import estimators, models, sim
+from relnav_graph.errors import InputError
+from relnav_graph.io.readers import READERS
+from relnav_graph.registry import classes
+from relnav_graph.settings import read_toml
+
+
+def _first_line(thing: object) -> str:
+    return (inspect.getdoc(thing) or "").split("\n")[0]
+
+
+def _section(title: str, rows: dict[str, str]) -> None:
+    click.echo(title)
+    width = max((len(name) for name in rows), default=0)
+    for name, text in rows.items():
+        click.echo(f"  {name:{width}}  {text}")
+    click.echo()
+
+
+@click.command("list")
+@click.argument("folder", type=click.Path(path_type=Path), default=Path("experiments"))
+def command(folder: Path) -> None:
+    """List models, estimators, truths, readers, and the scenarios in FOLDER."""
+    found = classes(models.ENTRY_POINTS)
+    for title, mark in (
+        ("Sensors", "observables"),
+        ("Dynamics", "advances"),
+        ("Derived quantities", "block"),
+    ):
+        _section(title, {k: _first_line(c) for k, c in found.items() if hasattr(c, mark)})
+    for title, group in (("Estimators", estimators.GROUP), ("Truth and inputs", sim.GROUP)):
+        _section(title, {k: _first_line(c) for k, c in classes(group).items()})
+    _section("Readers of recorded data", dict.fromkeys(READERS, ""))
+    scenarios = {}
+    for path in sorted(folder.glob("*.toml")):
+        try:
+            scenarios[str(path)] = str(read_toml(path).get("title", ""))
+        except InputError as error:
+            scenarios[str(path)] = str(error).replace("\n", " ")
+    _section(f"Scenarios in {folder}", scenarios)

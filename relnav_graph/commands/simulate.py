@@ -1,0 +1,30 @@
+"""``relnav simulate``: a scenario into a data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from relnav_graph.commands import show_progress
+from relnav_graph.io.dataset import write_dataset
+from relnav_graph.scenario import load_scenario
+
+
+@click.command("simulate")
+@click.argument("scenario", type=click.Path(path_type=Path))
+@click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Data set.")
+@click.option("--parquet", is_flag=True, help="Parquet tables instead of CSV (extra: data).")
+def command(
+    scenario: Path, seed: int | None, assignments: tuple[str, ...], out: Path, parquet: bool
+) -> None:
+    """Simulate SCENARIO and write measurements, inputs and truth as a data set."""
+    loaded = load_scenario(scenario, assignments)
+    seed = loaded.file.seed if seed is None else seed
+    recording = loaded.simulate(seed)
+    blocks = {b.name: b for b in loaded.layout}
+    raw = {**loaded.raw, "seed": seed}
+    write_dataset(out, raw, recording, loaded.sensors, blocks, "parquet" if parquet else "csv")
+    show_progress(f"{out}: {len(recording.times)} epochs, seed {seed}")

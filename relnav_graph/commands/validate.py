@@ -1,0 +1,43 @@
+"""``relnav validate``: every error of a scenario or data set, with its path."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from relnav_graph.commands import open_dataset
+from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.settings import json_schema
+
+
+@click.command("validate")
+@click.argument("file", type=click.Path(path_type=Path), required=False)
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of scenarios and exit.")
+def command(file: Path | None, assignments: tuple[str, ...], schema: bool) -> None:
+    """Check FILE, a scenario or a data-set folder, and say what is in it."""
+    if schema:
+        click.echo(json.dumps(json_schema(), indent=2))
+        return
+    if file is None:
+        raise click.UsageError("Missing argument 'FILE'.")
+    if file.is_dir():
+        run = open_dataset(file, assignments)
+        run.scenario.problem(run.recording, run.seed)
+        counted: dict[str, int] = {}
+        for m in run.recording.measurements:
+            counted[m.sensor] = counted.get(m.sensor, 0) + len(m.z)
+        for name, count in counted.items():
+            click.echo(f"{name}: {count} observations")
+        click.echo(f"epochs: {len(run.recording.times)}")
+        _describe(file, run.scenario)
+    else:
+        _describe(file, load_scenario(file, assignments))
+
+
+def _describe(file: Path, scenario: Scenario) -> None:
+    blocks = ", ".join(f"{b.name} [{b.symbol}]" for b in scenario.layout)
+    click.echo(f"state: {blocks} ({scenario.layout.dim} error states)")
+    click.echo(f"{file}: valid")

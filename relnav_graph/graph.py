@@ -1,0 +1,135 @@
+"""Any of our models as a `gtsam.CustomFactor` in anybody's own factor graph.
+
+The only module that builds a `CustomFactor`. Keys map to blocks in the order in which a
+model names them: an attitude block is a `gtsam.Rot3`, any other a vector. The residual is
+whitened inside, so the factor's noise model is a unit one. Every Jacobian comes out of a
+buffer of the right size, is checked to be filled, and a kernel that writes past it is
+found out before GTSAM sees the factor: there a wrong shape is a segmentation fault.
+
+Inside `ISAM2` keep a reference to ``isam.getLinearizationPoint()`` while updating: without
+it, GTSAM copies all its values for each call of each factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly, process_rows
+from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.models import Dynamics, Measurement, Sensor
+from relnav_graph.problem import Epoch
+from relnav_graph.state import Block, Layout
+
+__all__ = ["insert_block", "measurement_factor", "process_factor", "read_block"]
+
+Array = NDArray[np.float64]
+
+
+def insert_block(values: gtsam.Values, key: int, block: Block, value: Array) -> None:
+    """Insert the value of a block under a key, as the factors expect it.
+
+    Raises InputError when the value is not one of the block's.
+    """
+    stored = block.pack(value)
+    values.insert(key, gtsam.Rot3(block.unpack(stored)) if block.manifold == "SO3" else stored)
+
+
+def read_block(values: gtsam.Values, key: int, block: Block) -> Array:
+    """The value of a block under a key: (3, 3) for an attitude, (dim,) otherwise."""
+    if block.manifold == "SO3":
+        return values.atRot3(key).matrix()
+    return values.atVector(key)
+
+
+def _stored(values: gtsam.Values, keys: Sequence[int], blocks: Sequence[Block]) -> Array:
+    parts = [read_block(values, k, b).ravel() for k, b in zip(keys, blocks, strict=True)]
+    return np.concatenate(parts)
+
+
+def _check_keys(kind: str, keys: Sequence[int], blocks: Sequence[Block]) -> None:
+    if len(keys) != len(blocks) or len(set(keys)) != len(keys):
+        names = [b.name for b in blocks]
+        raise InputError(f"{kind}: found keys {list(keys)}, expected a different one for {names}")
+
+
+def measurement_factor(sensor: Sensor, m: Measurement, keys: Sequence[int]) -> gtsam.CustomFactor:
+    """The factor of one measurement; keys: of the blocks that the sensor reads.
+
+    Evaluating it raises GeometryError when an observation is impossible at the values,
+    and ModelError when the model breaks its contract. Raises InputError on wrong keys.
+    """
+    layout = Layout(sensor.reads)
+    _check_keys(sensor.kind, keys, layout.blocks)
+    assembly = Assembly(layout, {}, {m.sensor: sensor}, [Epoch(m.t, (m,))])
+    weight = np.ones(assembly.observations)
+    columns = [layout.tangent(b.name) for b in layout]
+
+    def error(
+        factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
+    ) -> Array:
+        x = _stored(values, factor.keys(), layout.blocks)
+        rows = assembly.measure(x[None], weight)
+        if rows.status.any():
+            bad = np.nonzero(rows.status)[0][0]
+            raise GeometryError(
+                f"{sensor.kind}: id {m.ids[bad]} at t = {m.t} s:"
+                f" {sensor.failure(int(rows.status[bad]))}"
+            )
+        if jacobians is not None:
+            for i, part in enumerate(columns):
+                jacobians[i] = rows.H[:, part]
+        return rows.r
+
+    count = int(assembly.row_offsets[-1])
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(count), list(keys), error)
+
+
+def process_factor(
+    process: Dynamics,
+    t: float,
+    u: Array,
+    keys: Sequence[int],
+    keys_next: Sequence[int],
+    noise_at: Sequence[Array],
+) -> gtsam.CustomFactor:
+    """The factor of one interval, ``local(propagate(x_k), x_k+1)``.
+
+    t: start of the interval, s; u (rows, 1 + channels): its inputs, see
+    `relnav_graph.models`; keys: of the blocks advanced and read, at the start; keys_next:
+    of the advanced blocks, at the end; noise_at: values of the former at which the noise
+    is taken, once. Raises InputError on wrong keys or a noise that is not regular.
+    """
+    blocks = process.advances + process.reads
+    layout, advanced = Layout(blocks), Layout(process.advances)
+    _check_keys(process.kind, [*keys, *keys_next], [*blocks, *process.advances])
+    t_end = float(t + np.sum(np.asarray(u)[:, 0]))
+    epoch = Epoch(t_end, (), {"process": np.ascontiguousarray(u, dtype=np.float64)})
+    assembly = Assembly(layout, {"process": process}, {}, [epoch], t_before=float(t))
+    n, size = advanced.dim, advanced.size
+    start = layout.pack(dict(zip([b.name for b in blocks], noise_at, strict=True)))
+    whiten = assembly.whitening(assembly.transition(start[None])[2])[:, :n, :n].copy()
+    columns = [layout.tangent(b.name) for b in layout]
+    columns_next = [advanced.tangent(b.name) for b in advanced]
+
+    def error(
+        factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
+    ) -> Array:
+        at = factor.keys()
+        x0 = _stored(values, at[: len(columns)], layout.blocks)
+        x1 = _stored(values, at[len(columns) :], advanced.blocks)
+        x_next, F, _ = assembly.transition(x0[None])
+        rows = process_rows(advanced, x_next[:, :size], x1[None], F[:, :n], whiten)
+        if jacobians is not None:
+            for i, part in enumerate(columns):
+                jacobians[i] = rows.A[0][:, part]
+            for i, part in enumerate(columns_next, len(columns)):
+                jacobians[i] = rows.B[0][:, part]
+        residual: Array = rows.e[0]
+        return residual
+
+    unit = gtsam.noiseModel.Unit.Create(n)
+    return gtsam.CustomFactor(unit, [*keys, *keys_next], error)

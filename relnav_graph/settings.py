@@ -1,0 +1,231 @@
+"""What a scenario file may hold, and how its tables become models.
+
+A file is checked as a whole: every error is reported at once, with its path in the file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from relnav_graph import models, sim
+from relnav_graph.errors import InputError, ModelError
+from relnav_graph.registry import classes, find_class
+from relnav_graph.units import Quantity
+
+__all__ = [
+    "BlockPrior",
+    "ScenarioError",
+    "ScenarioFile",
+    "SensorOptions",
+    "json_schema",
+    "override",
+]
+
+Problems = list[tuple[str, str]]
+MISSING = "missing, and required"
+Seconds = Annotated[float, Quantity("s", positive=True)]
+_STRICT = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class ScenarioError(InputError):
+    """Everything that is wrong in a scenario; `problems` holds (path, message) pairs."""
+
+    def __init__(self, source: str, problems: Problems) -> None:
+        self.problems = problems
+        lines = "\n".join(f"  {path or '(file)'}: {message}" for path, message in problems)
+        count = "1 error" if len(problems) == 1 else f"{len(problems)} errors"
+        super().__init__(f"{source}: {count}\n{lines}")
+
+
+class TimeSettings(BaseModel):
+    """Epochs of a simulated pass: `epochs` of them, `step` apart, from t = 0."""
+
+    model_config = _STRICT
+
+    step: Seconds
+    epochs: int = Field(ge=1)
+
+
+class DataSettings(BaseModel):
+    """Where recorded data come from: a reader of `relnav_graph.io.readers`."""
+
+    model_config = _STRICT
+
+    reader: str
+    options: dict[str, Any] = {}
+
+
+class SensorOptions(BaseModel):
+    """Of a sensor, what belongs to no model: `gate`, the probability of the chi-square
+    gate on each observation, and `period`, how often it measures in simulation."""
+
+    model_config = _STRICT
+
+    gate: float | None = Field(default=None, gt=0, lt=1)
+    period: Seconds | None = None
+
+
+class BlockPrior(BaseModel):
+    """Prior of one block. sigma: one for all axes or one each, SI or strings with units.
+
+    mean: "drawn" about the truth with sigma (simulation only), "truth" itself, or values
+    (an attitude as a rotation vector).
+    """
+
+    model_config = _STRICT
+
+    sigma: Any
+    mean: Literal["drawn", "truth"] | list[Any] = "drawn"
+
+
+class ScenarioFile(BaseModel):
+    """The tables of a scenario file. Models are checked apart, by their `kind`."""
+
+    model_config = _STRICT
+
+    title: str
+    description: str = ""
+    seed: int = Field(default=0, ge=0)
+    estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]
+    evaluate: tuple[float, float] | None = None
+    time: TimeSettings | None = None
+    data: DataSettings | None = None
+    orbit: dict[str, Any] | None = None
+    truth: dict[str, Any] | None = None
+    inputs: dict[str, dict[str, Any]] = {}
+    processes: dict[str, dict[str, Any]] = Field(min_length=1)
+    sensors: dict[str, dict[str, Any]] = Field(min_length=1)
+    prior: dict[str, BlockPrior]
+
+
+def _path(prefix: str, location: Sequence[int | str]) -> str:
+    out = prefix
+    for part in location:
+        out += f"[{part}]" if isinstance(part, int) else f".{part}" if out else part
+    return out
+
+
+def from_pydantic(prefix: str, error: ValidationError) -> Problems:
+    found = []
+    for e in error.errors():
+        message = e["msg"].removeprefix("Value error, ")
+        message = MISSING if e["type"] == "missing" else message
+        if "found" not in message and e["type"] != "missing":
+            message += f" (found {e['input']!r})"
+        found.append((_path(prefix, e["loc"]), message))
+    return found
+
+
+def _make(path: str, cls: type[Any], table: Mapping[str, Any], problems: Problems) -> Any:
+    """An instance of a dataclass from a table, or None; problems collects what is wrong."""
+    names = [f.name for f in dataclasses.fields(cls) if f.init]
+    for key in table:
+        if key not in names:
+            near = difflib.get_close_matches(key, names, 1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; expected {', '.join(names)}"
+            problems.append((f"{path}.{key}", f"unknown key{hint}"))
+    known = {key: value for key, value in table.items() if key in names}
+    try:
+        return TypeAdapter(cls).validate_python(known)
+    except ValidationError as error:
+        problems += from_pydantic(path, error)
+    except (InputError, ModelError) as error:
+        problems.append((path, str(error)))
+    return None
+
+
+def make_kind(group: str, path: str, table: Mapping[str, Any], problems: Problems) -> Any:
+    kind = table.get("kind")
+    if not isinstance(kind, str):
+        problems.append((f"{path}.kind", f"found {kind!r}, expected the name of a kind"))
+        return None
+    try:
+        cls = find_class(group, kind)
+    except ModelError as error:
+        problems.append((f"{path}.kind", str(error)))
+        return None
+    rest = {key: value for key, value in table.items() if key != "kind"}
+    return _make(path, cls, rest, problems)
+
+
+def shared_orbit(
+    group: str, table: Mapping[str, Any], orbit: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """The table with what the scenario's [orbit] gives to a model that asks for it."""
+    out = dict(table)
+    try:
+        cls = find_class(group, str(table.get("kind")))
+    except ModelError:
+        return out
+    names = {f.name for f in dataclasses.fields(cls)}
+    if orbit is not None and "orbit" in names:
+        out.setdefault("orbit", dict(orbit))
+    elif orbit is not None and "semi_major_axis" in names:
+        out = {**orbit, **out}
+    return out
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables; a value in `over` wins."""
+    out = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
+        out[key] = merge(out[key], value) if both else value
+    return out
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file. Raises ScenarioError when it cannot be read."""
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ScenarioError(str(path), [("", f"cannot be read: {error.strerror}")]) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(str(path), [("", f"not valid TOML: {error}")]) from error
+
+
+def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
+    """The tables with ``key.path=value`` assignments made; values as in TOML, else text.
+
+    Raises InputError on an assignment that cannot be read.
+    """
+    out = dict(raw)
+    for text in assignments:
+        key, equals, value = text.partition("=")
+        parts = key.strip().split(".")
+        if not equals or not all(parts):
+            raise InputError(f"--set: found {text!r}, expected key.path=value")
+        try:
+            parsed: Any = tomllib.loads(f"v = {value}")["v"]
+        except tomllib.TOMLDecodeError:
+            parsed = value.strip()
+        nested: Any = parsed
+        for part in reversed(parts):
+            nested = {part: nested}
+        out = merge(out, nested)
+    return out
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of scenario files, for editors."""
+    schema = ScenarioFile.model_json_schema()
+    for section, group, contract in (
+        ("processes", models.ENTRY_POINTS, "advances"),
+        ("sensors", models.ENTRY_POINTS, "observables"),
+        ("inputs", sim.GROUP, "sample"),
+    ):
+        choices = []
+        for kind, cls in classes(group).items():
+            if hasattr(cls, contract):
+                choice = TypeAdapter(cls).json_schema()
+                choice["properties"] = {"kind": {"const": kind}, **choice.get("properties", {})}
+                choices.append(choice)
+        schema["properties"][section]["additionalProperties"] = {"anyOf": choices}
+    return schema
