@@ -45,23 +45,24 @@ def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, A
         p_s = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c)
     """
     orbital = x.shape[0] == 21
-    R_cs = mounting[:9].copy().reshape(3, 3)
-    R_oc = x[:9].copy().reshape(3, 3)
-    R_so = so3.transpose_multiply(R_cs, np.ascontiguousarray(R_oc.T))
-    if orbital:
-        R_ot = x[9:18].copy().reshape(3, 3)
-        line = so3.rotate(R_ot, point_t) - x[18:21]
-    else:
-        line = point_t - x[9:12]
-    line_c = so3.unrotate(R_oc, line)
+    R_cs, R_oc = so3.matrix_at(mounting, 0), so3.matrix_at(x, 0)
+    R_os = so3.multiply(R_oc, R_cs)
+    r = so3.vector_at(x, 18 if orbital else 9)
     jacobian = np.empty((3, 9 if orbital else 6))
-    jacobian[:, :3] = so3.transpose_multiply(R_cs, so3.skew(line_c))
     if orbital:
-        jacobian[:, 3:6] = -so3.multiply(so3.multiply(R_so, R_ot), so3.skew(point_t))
-        jacobian[:, 6:] = -R_so
+        R_ot = so3.matrix_at(x, 9)
+        line = so3.add_vector(so3.rotate(R_ot, point_t), r, -1.0)
+        arm = so3.transpose_multiply(R_os, so3.multiply(R_ot, so3.skew(point_t)))
+        so3.put(jacobian, 0, 3, arm, -1.0)
     else:
-        jacobian[:, 3:] = -R_so
-    return so3.unrotate(R_cs, line_c - mounting[9:12]), jacobian
+        line = so3.add_vector(point_t, r, -1.0)
+    line_c = so3.unrotate(R_oc, line)
+    so3.put(jacobian, 0, 0, so3.transpose_multiply(R_cs, so3.skew(line_c)), 1.0)
+    for i in range(3):
+        for j in range(3):
+            jacobian[i, jacobian.shape[1] - 3 + j] = -R_os[j, i]
+    line_c = so3.add_vector(line_c, so3.vector_at(mounting, 9), -1.0)
+    return so3.unrotate(R_cs, line_c), jacobian
 
 
 @dataclass(frozen=True, kw_only=True)

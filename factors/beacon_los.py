@@ -23,7 +23,9 @@ def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Ar
     """Unit vector (3,) to a beacon in sensor axes, and its Jacobian to the pose."""
     p, jacobian = point_in_sensor(mounting, beacon_t, x)
     distance = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
-    b = p / distance
+    b = np.empty(3)
+    for i in range(3):
+        b[i] = p[i] / distance
     for j in range(jacobian.shape[1]):
         along = b[0] * jacobian[0, j] + b[1] * jacobian[1, j] + b[2] * jacobian[2, j]
         for i in range(3):
@@ -34,13 +36,18 @@ def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Ar
 @jit
 def tangent_basis(b: Array) -> Array:
     """Two unit vectors across the unit vector b, as the columns of a (3, 2) matrix."""
+    smallest = 0
+    for i in range(1, 3):
+        if abs(b[i]) < abs(b[smallest]):
+            smallest = i
     axis = np.zeros(3)
-    axis[np.argmin(np.abs(b))] = 1.0
+    axis[smallest] = 1.0
     first = so3.cross(b, axis)
-    first /= np.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    norm = np.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    second = so3.cross(b, first)
     out = np.empty((3, 2))
-    out[:, 0] = first
-    out[:, 1] = so3.cross(b, first)
+    for i in range(3):
+        out[i, 0], out[i, 1] = first[i] / norm, second[i] / norm
     return out
 
 

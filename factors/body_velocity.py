@@ -31,23 +31,23 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
     The path within dt is curved: its integral is the left Jacobian of the turn.
     """
-    R = x[3:12].copy().reshape(3, 3)
-    turned = np.eye(3)
-    path_c = np.zeros(3)
-    noise = np.zeros((3, 3))
+    R, turned = so3.matrix_at(x, 3), so3.identity(3)
+    path_c, noise = np.zeros(3), np.zeros((3, 3))
+    velocity, turn, spread = np.empty(3), np.empty(3), np.zeros((3, 3))
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        turn = u[row, 4:7] * dt
-        path_c += so3.rotate(turned, so3.rotate(so3.right_jacobian(-turn), u[row, 1:4] * dt))
         for i in range(3):
-            for j in range(3):
-                for k in range(3):
-                    noise[i, j] += dt * turned[i, k] * p[k] ** 2 * turned[j, k]
+            velocity[i], turn[i] = u[row, 1 + i], u[row, 4 + i] * dt
+            spread[i, i] = p[i] ** 2 * dt
+        # The left Jacobian of a turn is the transpose of the right one.
+        mean_c = so3.unrotate(so3.right_jacobian(turn), velocity)
+        path_c = so3.add_vector(path_c, so3.rotate(turned, mean_c), dt)
+        noise = so3.add(noise, so3.propagate_covariance(turned, spread), 1.0)
         turned = so3.multiply(turned, so3.exp(turn))
-    x_next[:] = x[:3] + so3.rotate(R, path_c)
-    F[:, :3] = np.eye(3)
-    F[:, 3:6] = -so3.multiply(R, so3.skew(path_c))
-    Q[:, :] = so3.multiply(so3.multiply(R, noise), np.ascontiguousarray(R.T))
+    so3.put_vector(x_next, 0, so3.add_vector(so3.vector_at(x, 0), so3.rotate(R, path_c), 1.0))
+    so3.put(F, 0, 0, so3.identity(3), 1.0)
+    so3.put(F, 0, 3, so3.multiply(R, so3.skew(path_c)), -1.0)
+    so3.put(Q, 0, 0, so3.propagate_covariance(R, noise), 1.0)
     return 0
 
 

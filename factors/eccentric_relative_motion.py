@@ -26,18 +26,18 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
     The difference of gravities in Battin's form (1999, eq. 8.61), which loses no digits
     however small the separation. motion: see `relnav_graph.orbit.chief_motion`.
     """
-    radius, _, _, rate, rate_dot = motion
-    r, v = x[:3], x[3:]
-    q = (r[0] * (r[0] + 2 * radius) + r[1] ** 2 + r[2] ** 2) / radius**2
+    radius, rate, rate_dot = motion[0], motion[3], motion[4]
+    q = (x[0] * (x[0] + 2 * radius) + x[1] ** 2 + x[2] ** 2) / radius**2
     stretch = q * (3 + 3 * q + q * q) / (1 + (1 + q) ** 1.5)
     distance = radius * np.sqrt(1 + q)
     pull = mu / distance**3
-    out = -pull * r
-    out[0] += pull * stretch * radius + 2 * rate * v[1] + rate_dot * r[1] + rate**2 * r[0]
-    out[1] += -2 * rate * v[0] - rate_dot * r[0] + rate**2 * r[1]
-    n = r / distance
+    out, n, jacobian = np.empty(3), np.empty(3), np.zeros((3, 6))
+    for i in range(3):
+        out[i] = -pull * x[i]
+        n[i] = x[i] / distance
+    out[0] += pull * stretch * radius + 2 * rate * x[4] + rate_dot * x[1] + rate**2 * x[0]
+    out[1] += -2 * rate * x[3] - rate_dot * x[0] + rate**2 * x[1]
     n[0] += radius / distance
-    jacobian = np.zeros((3, 6))
     for i in range(3):
         for j in range(3):
             jacobian[i, j] = 3 * pull * n[i] * n[j]
@@ -54,48 +54,50 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
 @jit
 def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
     """x (6,) after one Runge-Kutta step of h seconds, and the step's own Jacobian."""
-    stage_x, stage_d = x, np.eye(6)
-    slope, dslope = np.zeros(6), np.zeros((6, 6))
+    one = so3.identity(6)
+    at_x, at_d, end_x, end_d = x, one, x, one
+    k, dk = np.empty(6), np.empty((6, 6))
     for stage in range(4):
         at = t if stage == 0 else t + h if stage == 3 else t + 0.5 * h
-        a, da = relative_acceleration(chief_motion(orbit, at), orbit[3], stage_x)
-        k = np.concatenate((stage_x[3:], a))
-        dk = np.empty((6, 6))
-        dk[:3] = stage_d[3:]
-        dk[3:] = so3.multiply(da, stage_d)
-        weight = (1.0 if stage in (0, 3) else 2.0) / 6
-        slope = slope + weight * k
-        dslope = dslope + weight * dk
+        a, da = relative_acceleration(chief_motion(orbit, at), orbit[3], at_x)
+        chained = so3.multiply(da, at_d)
+        for i in range(3):
+            k[i], k[3 + i] = at_x[3 + i], a[i]
+            for j in range(6):
+                dk[i, j], dk[3 + i, j] = at_d[3 + i, j], chained[i, j]
+        weight = h / 6 if stage in (0, 3) else h / 3
+        end_x, end_d = so3.add_vector(end_x, k, weight), so3.add(end_d, dk, weight)
         ahead = h if stage == 2 else 0.5 * h
-        stage_x, stage_d = x + ahead * k, np.eye(6) + ahead * dk
-    return x + h * slope, np.eye(6) + h * dslope
+        at_x, at_d = so3.add_vector(x, k, ahead), so3.add(one, dk, ahead)
+    return end_x, end_d
 
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r_tc_o, r_tc_o'). Steps of at most p[6] seconds; p[5] != 0: exact gravity."""
-    orbit, density2 = p[:4], p[4] ** 2
-    duration = u[:, 0].sum()
+    density2, duration = p[4] ** 2, 0.0
+    for row in range(u.shape[0]):
+        duration += u[row, 0]
     steps = max(1, int(np.ceil(duration / p[6] - 1e-9)))
     h = duration / steps
-    state, total, noise = x.copy(), np.eye(6), np.zeros((6, 6))
+    state, total, noise = x, so3.identity(6), np.zeros((6, 6))
     for n in range(steps):
         at = t + n * h
         if p[5] != 0.0:
-            state, step = exact_step(orbit, at, h, state)
+            state, step = exact_step(p, at, h, state)
         else:
-            step = relative_transition(orbit, at, at + h)
+            step = relative_transition(p, at, at + h)
             state = so3.rotate(step, state)
         total = so3.multiply(step, total)
-        noise = so3.multiply(so3.multiply(step, noise), np.ascontiguousarray(step.T))
+        noise = so3.propagate_covariance(step, noise)
         for i in range(3):
             noise[i, i] += density2 * h**3 / 3
             noise[i, 3 + i] += density2 * h**2 / 2
             noise[3 + i, i] += density2 * h**2 / 2
             noise[3 + i, 3 + i] += density2 * h
-    x_next[:] = state
-    F[:, :] = total
-    Q[:, :] = noise
+    so3.put_vector(x_next, 0, state)
+    so3.put(F, 0, 0, total, 1.0)
+    so3.put(Q, 0, 0, noise, 1.0)
     return 0
 
 

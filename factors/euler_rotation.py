@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 @jit
 def inertia_ratios(k: Array) -> tuple[Array, Array]:
     """l = tanh(k_x, k_y, -(k_x + k_y)), (3,), and its Jacobian to (k_x, k_y), (3, 2)."""
-    l = np.array([np.tanh(k[0]), np.tanh(k[1]), -np.tanh(k[0] + k[1])])
-    jacobian = np.zeros((3, 2))
+    l, jacobian = np.empty(3), np.zeros((3, 2))
+    l[0], l[1], l[2] = np.tanh(k[0]), np.tanh(k[1]), -np.tanh(k[0] + k[1])
     jacobian[0, 0] = 1 - l[0] ** 2
     jacobian[1, 1] = 1 - l[1] ** 2
     jacobian[2, 0] = jacobian[2, 1] = l[2] ** 2 - 1
@@ -30,19 +30,28 @@ def inertia_ratios(k: Array) -> tuple[Array, Array]:
 
 
 @jit
-def euler_acceleration(w: Array, k: Array) -> tuple[Array, Array]:
-    """w' (3,) of a torque-free body, and its Jacobian to (w, k), (3, 5)."""
+def euler_acceleration(w: Array, k: Array) -> tuple[Array, Array, Array]:
+    """w' (3,) of a torque-free body, and its Jacobians to w (3, 3) and to k (3, 2)."""
     l, dl = inertia_ratios(k)
-    out = np.empty(3)
-    jacobian = np.zeros((3, 5))
+    out, to_w, to_k = np.empty(3), np.zeros((3, 3)), np.empty((3, 2))
     for i in range(3):
         j, m = (i + 1) % 3, (i + 2) % 3
         out[i] = l[i] * w[j] * w[m]
-        jacobian[i, j] = l[i] * w[m]
-        jacobian[i, m] = l[i] * w[j]
-        jacobian[i, 3] = dl[i, 0] * w[j] * w[m]
-        jacobian[i, 4] = dl[i, 1] * w[j] * w[m]
-    return out, jacobian
+        to_w[i, j] = l[i] * w[m]
+        to_w[i, m] = l[i] * w[j]
+        for n in range(2):
+            to_k[i, n] = dl[i, n] * w[j] * w[m]
+    return out, to_w, to_k
+
+
+@jit
+def _chained(to_w: Array, to_k: Array, dw: Array) -> Array:
+    """The Jacobian to (w0, k), (3, 5), of a function of (w, k), with dw that of w."""
+    out = so3.multiply(to_w, dw)
+    for i in range(3):
+        out[i, 3] += to_k[i, 0]
+        out[i, 4] += to_k[i, 1]
+    return out
 
 
 @jit
@@ -54,49 +63,54 @@ def rate_step(w: Array, k: Array, h: float) -> tuple[Array, Array, Array, Array]
     Hermite polynomial, and the coning term (w0 x w1) h^2 / 12.
     """
     start = np.zeros((3, 5))
-    start[:, :3] = np.eye(3)
-    rate, drate = w, start
-    slope, dslope = np.zeros(3), np.zeros((3, 5))
-    first, dfirst = np.zeros(3), np.zeros((3, 5))
-    for stage in range(4):
-        a, da = euler_acceleration(rate, k)
-        chained = so3.multiply(np.ascontiguousarray(da[:, :3]), drate)
-        chained[:, 3:] += da[:, 3:]
-        if stage == 0:
-            first, dfirst = a, chained
-        weight = (1.0 if stage in (0, 3) else 2.0) / 6
-        slope = slope + weight * a
-        dslope = dslope + weight * chained
-        ahead = h if stage == 2 else 0.5 * h
-        rate, drate = w + ahead * a, start + ahead * chained
-    w1, dw1 = w + h * slope, start + h * dslope
-    last, da = euler_acceleration(w1, k)
-    dlast = so3.multiply(np.ascontiguousarray(da[:, :3]), dw1)
-    dlast[:, 3:] += da[:, 3:]
-    turn = h / 2 * (w + w1) + h * h / 12 * (first - last + so3.cross(w, w1))
-    coning = so3.multiply(so3.skew(w), dw1) - so3.multiply(so3.skew(w1), start)
-    dturn = h / 2 * (start + dw1) + h * h / 12 * (dfirst - dlast + coning)
+    start[0, 0] = start[1, 1] = start[2, 2] = 1.0
+    first, to_w, to_k = euler_acceleration(w, k)
+    dfirst = _chained(to_w, to_k, start)
+    w1, dw1 = so3.add_vector(w, first, h / 6), so3.add(start, dfirst, h / 6)
+    a, da = first, dfirst
+    for stage in range(1, 4):
+        ahead = h if stage == 3 else 0.5 * h
+        rate, drate = so3.add_vector(w, a, ahead), so3.add(start, da, ahead)
+        a, to_w, to_k = euler_acceleration(rate, k)
+        da = _chained(to_w, to_k, drate)
+        weight = h / 6 if stage == 3 else h / 3
+        w1, dw1 = so3.add_vector(w1, a, weight), so3.add(dw1, da, weight)
+    last, to_w, to_k = euler_acceleration(w1, k)
+    dlast = _chained(to_w, to_k, dw1)
+    coning = so3.cross(w, w1)
+    dconing = so3.add(so3.multiply(so3.skew(w), dw1), so3.multiply(so3.skew(w1), start), -1.0)
+    turn, dturn = np.empty(3), np.empty((3, 5))
+    for i in range(3):
+        turn[i] = h / 2 * (w[i] + w1[i]) + h * h / 12 * (first[i] - last[i] + coning[i])
+        for j in range(5):
+            bent = dfirst[i, j] - dlast[i, j] + dconing[i, j]
+            dturn[i, j] = h / 2 * (start[i, j] + dw1[i, j]) + h * h / 12 * bent
     return w1, turn, dw1, dturn
 
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds."""
-    orbit, torque2, inertia2 = p[:4], p[4] ** 2, p[5] ** 2
-    duration = u[:, 0].sum()
+    torque2, inertia2 = p[4] ** 2, p[5] ** 2
+    duration = 0.0
+    for row in range(u.shape[0]):
+        duration += u[row, 0]
     steps = max(1, int(np.ceil(duration / p[6] - 1e-9)))
     h = duration / steps
-    R_ot = x[:9].copy().reshape(3, 3)
-    w, k = x[9:12].copy(), x[12:14]
-    total, noise, step = np.eye(8), np.zeros((8, 8)), np.eye(8)
+    R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), np.empty(2)
+    k[0], k[1] = x[12], x[13]
+    total, noise, step = so3.identity(8), np.zeros((8, 8)), so3.identity(8)
     for _ in range(steps):
         w, turn, dw, dturn = rate_step(w, k, h)
-        R_ot = so3.multiply(R_ot, so3.exp(turn))
-        step[:3, :3] = so3.exp(-turn)
-        step[:3, 3:] = so3.multiply(so3.right_jacobian(turn), dturn)
-        step[3:6, 3:] = dw
+        ahead = so3.exp(turn)
+        R_ot = so3.multiply(R_ot, ahead)
+        for i in range(3):
+            for j in range(3):
+                step[i, j] = ahead[j, i]
+        so3.put(step, 0, 3, so3.multiply(so3.right_jacobian(turn), dturn), 1.0)
+        so3.put(step, 3, 3, dw, 1.0)
         total = so3.multiply(step, total)
-        noise = so3.multiply(so3.multiply(step, noise), np.ascontiguousarray(step.T))
+        noise = so3.propagate_covariance(step, noise)
         for i in range(3):
             noise[i, i] += torque2 * h**3 / 3
             noise[i, 3 + i] += torque2 * h**2 / 2
@@ -104,12 +118,12 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             noise[3 + i, 3 + i] += torque2 * h
         for i in range(6, 8):
             noise[i, i] += inertia2 * h
-    R_ot = so3.multiply(frame_rotation(orbit, t, t + duration), R_ot)
-    x_next[:9] = so3.project(R_ot).reshape(9)
-    x_next[9:12] = w
-    x_next[12:14] = k
-    F[:, :] = total
-    Q[:, :] = noise
+    R_ot = so3.multiply(frame_rotation(p, t, t + duration), R_ot)
+    so3.put_matrix(x_next, 0, so3.project(R_ot))
+    so3.put_vector(x_next, 9, w)
+    so3.put_vector(x_next, 12, k)
+    so3.put(F, 0, 0, total, 1.0)
+    so3.put(Q, 0, 0, noise, 1.0)
     return 0
 
 

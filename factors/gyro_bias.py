@@ -24,33 +24,34 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
     Attitude and bias noise are correlated: the bias walks while the attitude turns.
     """
-    orbit, density_v, density_u = p[:4], p[4:7], p[7:10]
-    R_oc = x[:9].copy().reshape(3, 3)
-    b = x[9:12]
-    total = np.eye(6)
-    noise = np.zeros((6, 6))
-    step = np.eye(6)
+    R_oc, b = so3.matrix_at(x, 0), so3.vector_at(x, 9)
+    total, noise, step = so3.identity(6), np.zeros((6, 6)), so3.identity(6)
+    turn = np.empty(3)
     duration = 0.0
     for row in range(u.shape[0]):
         dt = u[row, 0]
         duration += dt
-        turn = (u[row, 1:4] - b) * dt
-        R_oc = so3.multiply(R_oc, so3.exp(turn))
-        step[:3, :3] = so3.exp(-turn)
-        step[:3, 3:] = -dt * so3.right_jacobian(turn)
-        total = so3.multiply(step, total)
-        noise = so3.multiply(so3.multiply(step, noise), np.ascontiguousarray(step.T))
         for i in range(3):
-            v2, u2 = density_v[i] ** 2, density_u[i] ** 2
+            turn[i] = (u[row, 1 + i] - b[i]) * dt
+        ahead = so3.exp(turn)
+        R_oc = so3.multiply(R_oc, ahead)
+        for i in range(3):
+            for j in range(3):
+                step[i, j] = ahead[j, i]
+        so3.put(step, 0, 3, so3.right_jacobian(turn), -dt)
+        total = so3.multiply(step, total)
+        noise = so3.propagate_covariance(step, noise)
+        for i in range(3):
+            v2, u2 = p[4 + i] ** 2, p[7 + i] ** 2
             noise[i, i] += v2 * dt + u2 * dt**3 / 3
             noise[i, 3 + i] -= u2 * dt**2 / 2
             noise[3 + i, i] -= u2 * dt**2 / 2
             noise[3 + i, 3 + i] += u2 * dt
-    R_oc = so3.multiply(frame_rotation(orbit, t, t + duration), R_oc)
-    x_next[:9] = so3.project(R_oc).reshape(9)
-    x_next[9:12] = b
-    F[:, :] = total
-    Q[:, :] = noise
+    R_oc = so3.multiply(frame_rotation(p, t, t + duration), R_oc)
+    so3.put_matrix(x_next, 0, so3.project(R_oc))
+    so3.put_vector(x_next, 9, b)
+    so3.put(F, 0, 0, total, 1.0)
+    so3.put(Q, 0, 0, noise, 1.0)
     return 0
 
 

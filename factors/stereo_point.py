@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 def project_stereo(p: Array, point_s: Array) -> tuple[Array, Array]:
     """Pixels (ul, vl, ur, vr) of a point in the axes of the left camera (x right, y down,
     z ahead), and their Jacobian (4, 3). p ends with fu, fv, cu, cv (px), baseline (m)."""
-    fu, fv, cu, cv, baseline = p[12:17]
-    x, y, depth = point_s
+    fu, fv, cu, cv, baseline = p[12], p[13], p[14], p[15], p[16]
+    x, y, depth = point_s[0], point_s[1], point_s[2]
     pixels = np.empty(4)
     pixels[0] = fu * x / depth + cu
     pixels[1] = fv * y / depth + cv
@@ -46,8 +46,8 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
     if point_s[2] <= 0.0:
         return 1
     pixels, dpixels = project_stereo(p, point_s)
-    r[:] = pixels - z
-    H[:, :] = so3.multiply(dpixels, jacobian)
+    so3.put_vector(r, 0, so3.add_vector(pixels, z, -1.0))
+    so3.put(H, 0, 0, so3.multiply(dpixels, jacobian), 1.0)
     return 0
 
 
@@ -55,8 +55,8 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
 def cartesian_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (3,): predicted minus measured position in sensor axes."""
     point_s, jacobian = point_in_sensor(p, q, x)
-    r[:] = point_s - z
-    H[:, :] = jacobian
+    so3.put_vector(r, 0, so3.add_vector(point_s, z, -1.0))
+    so3.put(H, 0, 0, jacobian, 1.0)
     return 0
 
 

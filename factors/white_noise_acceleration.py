@@ -27,13 +27,16 @@ Array = NDArray[np.float64]
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r, v)."""
-    dt = u[:, 0].sum()
-    F[:, :] = 0.0
-    Q[:, :] = 0.0
+    dt = 0.0
+    for row in range(u.shape[0]):
+        dt += u[row, 0]
+    for i in range(6):
+        for j in range(6):
+            F[i, j] = 1.0 if i == j else 0.0
+            Q[i, j] = 0.0
     for i in range(3):
         x_next[i] = x[i] + dt * x[3 + i]
         x_next[3 + i] = x[3 + i]
-        F[i, i] = F[3 + i, 3 + i] = 1.0
         F[i, 3 + i] = dt
         Q[i, i] = p[0] ** 2 * dt**3 / 3
         Q[i, 3 + i] = Q[3 + i, i] = p[0] ** 2 * dt**2 / 2

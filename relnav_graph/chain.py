@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph import so3
 from relnav_graph.assembly import Assembly, MeasurementRows, ProcessRows, inverse_cholesky
 from relnav_graph.compiled import jit
 from relnav_graph.errors import EstimationError
@@ -85,15 +86,30 @@ def _back_substitute(R: Array, S: Array, d: Array) -> Array:
     count, n = d.shape
     delta = np.empty((count, n))
     for k in range(count - 1, -1, -1):
-        rhs = d[k].copy()
-        if k < count - 1:
-            rhs -= S[k] @ delta[k + 1]
         for i in range(n - 1, -1, -1):
-            value = rhs[i]
+            value = d[k, i]
+            if k < count - 1:
+                for j in range(n):
+                    value -= S[k, i, j] * delta[k + 1, j]
             for j in range(i + 1, n):
                 value -= R[k, i, j] * delta[k, j]
             delta[k, i] = value / R[k, i, i]
     return delta
+
+
+@jit
+def _inverse_upper(R: Array) -> Array:
+    """Inverse of an upper triangular matrix."""
+    n = R.shape[0]
+    out = np.zeros((n, n))
+    for j in range(n):
+        out[j, j] = 1 / R[j, j]
+        for i in range(j - 1, -1, -1):
+            value = 0.0
+            for l in range(i + 1, j + 1):
+                value -= R[i, l] * out[l, j]
+            out[i, j] = value / R[i, i]
+    return out
 
 
 @jit
@@ -102,19 +118,13 @@ def _covariances(R: Array, S: Array) -> Array:
     count, n = R.shape[0], R.shape[1]
     P = np.empty((count, n, n))
     for k in range(count - 1, -1, -1):
-        inverse = np.zeros((n, n))
-        for j in range(n):
-            inverse[j, j] = 1 / R[k, j, j]
-            for i in range(j - 1, -1, -1):
-                value = 0.0
-                for l in range(i + 1, j + 1):
-                    value -= R[k, i, l] * inverse[l, j]
-                inverse[i, j] = value / R[k, i, i]
-        P[k] = inverse @ inverse.T
+        inner = so3.identity(n)
         if k < count - 1:
-            T = inverse @ S[k]
-            P[k] += T @ P[k + 1] @ T.T
-        P[k] = 0.5 * (P[k] + P[k].T)
+            inner = so3.add(inner, so3.propagate_covariance(S[k], P[k + 1]), 1.0)
+        full = so3.propagate_covariance(_inverse_upper(R[k]), inner)
+        for i in range(n):
+            for j in range(n):
+                P[k, i, j] = 0.5 * (full[i, j] + full[j, i])
     return P
 
 

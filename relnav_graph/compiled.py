@@ -13,6 +13,7 @@ change anywhere gives a new folder.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import sys
 from collections.abc import Callable
@@ -34,6 +35,7 @@ __all__ = [
     "sensor_pointer",
 ]
 
+_LOG = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 VECTOR = types.Array(types.float64, 1, "C")
@@ -83,9 +85,9 @@ def _compile(function: F, *signature: Any) -> F:
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
     try:
-        return numba.njit(*signature, cache=True)(function)  # type: ignore[no-any-return]
+        return numba.njit(*signature, cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
     except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
-        return numba.njit(*signature)(function)  # type: ignore[no-any-return]
+        return numba.njit(*signature, error_model="numpy")(function)  # type: ignore[no-any-return]
     finally:
         numba.config.CACHE_DIR = configured
 
@@ -95,6 +97,13 @@ def jit(function: F) -> F:
     return _compile(function)
 
 
+@cache
+def _announce(folder: Path) -> None:
+    """Say, once, that models are compiled for the first time: it takes half a minute."""
+    if not folder.exists():
+        _LOG.info("compiling the models; later runs take them from %s", folder.parent)
+
+
 class _Pointer(types.WrapperAddressProtocol):  # type: ignore[misc]
     """A compiled function as a first-class value whose address is looked up once only.
 
@@ -102,6 +111,7 @@ class _Pointer(types.WrapperAddressProtocol):  # type: ignore[misc]
     """
 
     def __init__(self, function: Any, signature: Any) -> None:
+        _announce(cache_folder(function.py_func.__code__.co_filename))
         self._signature = signature
         self._keep_alive = function
         self._address = _get_wrapper_address(function, signature)

@@ -10,6 +10,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from relnav_graph import so3
 from relnav_graph.compiled import (
     DYNAMICS_KERNEL,
     INDICES,
@@ -46,19 +47,31 @@ def _guarded(n: int) -> Array:
 
 
 @jit
-def _intact(buffer: Array) -> bool:
-    for i in range(_GUARD):
-        if buffer[i] != _MARK or buffer[buffer.shape[0] - 1 - i] != _MARK:
-            return False
-    return True
+def _reset(buffer: Array) -> None:
+    for i in range(_GUARD, buffer.shape[0] - _GUARD):
+        buffer[i] = np.nan
 
 
 @jit
-def _finite(a: Array) -> bool:
-    for value in a.flat:  # noqa: SIM110 (numba knows no all() over a generator)
-        if not np.isfinite(value):
-            return False
-    return True
+def _verdict(buffer: Array) -> int:
+    """0, or what a kernel did wrong with a guarded buffer."""
+    n = buffer.shape[0]
+    for i in range(_GUARD):
+        if buffer[i] != _MARK or buffer[n - 1 - i] != _MARK:
+            return OUTSIDE
+    for i in range(_GUARD, n - _GUARD):
+        if not np.isfinite(buffer[i]):
+            return UNFILLED
+    return 0
+
+
+@jit
+def _gather(x: Array, k: int, places: Indices) -> Array:
+    """The stored values of some blocks at epoch k."""
+    out = np.empty(places.shape[0])
+    for i in range(places.shape[0]):
+        out[i] = x[k, places[i]]
+    return out
 
 
 @jit_as(
@@ -83,25 +96,23 @@ def measure(
     H: Array,
     status: Indices,
 ) -> None:
-    """Fill the rows r, H of all observations of one sensor; zero where status != 0."""
+    """Fill the rows r, H, which come as zeros, of all observations of one sensor; those
+    whose status is not 0 stay zero."""
     rows, n = whiten.shape[1], columns.shape[0]
     r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
     r_one = r_buffer[_GUARD : _GUARD + rows]
     h_one = h_buffer[_GUARD : _GUARD + rows * n].reshape(rows, n)
     for i in range(z.shape[0]):
         start = row[i]
-        r[start : start + rows] = 0.0
-        H[start : start + rows] = 0.0
+        status[i] = 0
         if weight[i] == 0.0:
-            status[i] = 0
             continue
-        r_one[:] = np.nan
-        h_one[:, :] = np.nan
-        status[i] = kernel(p, q[i], z[i], x[epoch[i]][gather], r_one, h_one)
-        if not (_intact(r_buffer) and _intact(h_buffer)):
-            status[i] = OUTSIDE
-        elif status[i] == 0 and not (_finite(r_one) and _finite(h_one)):
-            status[i] = UNFILLED
+        _reset(r_buffer)
+        _reset(h_buffer)
+        status[i] = kernel(p, q[i], z[i], _gather(x, epoch[i], gather), r_one, h_one)
+        wrong = min(_verdict(r_buffer), _verdict(h_buffer))
+        if wrong == OUTSIDE or (wrong == UNFILLED and status[i] == 0):
+            status[i] = wrong
         if status[i] != 0:
             continue
         for a in range(rows):
@@ -141,15 +152,14 @@ def transition(
     f_one = f_buffer[_GUARD : _GUARD + m * n].reshape(m, n)
     q_one = q_buffer[_GUARD : _GUARD + m * m].reshape(m, m)
     for k in range(t.shape[0]):
-        x_one[:] = np.nan
-        f_one[:, :] = np.nan
-        q_one[:, :] = np.nan
+        _reset(x_buffer)
+        _reset(f_buffer)
+        _reset(q_buffer)
         inputs = u[offset[k] : offset[k + 1]]
-        status[k] = kernel(p, t[k], inputs, x[k][gather], x_one, f_one, q_one)
-        if not (_intact(x_buffer) and _intact(f_buffer) and _intact(q_buffer)):
-            status[k] = OUTSIDE
-        elif not (_finite(x_one) and _finite(f_one) and _finite(q_one)):
-            status[k] = UNFILLED if status[k] == 0 else status[k]
+        status[k] = kernel(p, t[k], inputs, _gather(x, k, gather), x_one, f_one, q_one)
+        wrong = min(_verdict(x_buffer), _verdict(f_buffer), _verdict(q_buffer))
+        if wrong == OUTSIDE or (wrong == UNFILLED and status[k] == 0):
+            status[k] = wrong
         if status[k] != 0:
             return
         for i in range(size):
@@ -169,12 +179,21 @@ def interval_rows(
 
     On SO(3): e = Log(A^T B), de/db = J_r^-1(e), de/da = -J_r^-1(-e), the left inverse.
     """
-    count, n = x1.shape[0], F.shape[1]
-    e, a, b = np.empty((count, n)), np.empty_like(F), np.empty((count, n, n))
+    count, n, columns = x1.shape[0], F.shape[1], F.shape[2]
+    e, a, b = np.zeros((count, n)), np.empty(F.shape), np.empty((count, n, n))
+    minus = np.empty(n)
     for k in range(count):
         error = local(x0_next[k], x1[k], kinds, n)
-        w = whiten[k]
-        e[k] = w @ error
-        a[k] = -(w @ block_jacobian(-error, kinds, True)) @ F[k]
-        b[k] = w @ block_jacobian(error, kinds, True)
+        for i in range(n):
+            minus[i] = -error[i]
+            for j in range(i + 1):  # whitening matrices are lower triangular
+                e[k, i] += whiten[k, i, j] * error[j]
+        left = so3.multiply(whiten[k], block_jacobian(minus, kinds, True))
+        toward = so3.multiply(left, F[k])
+        right = so3.multiply(whiten[k], block_jacobian(error, kinds, True))
+        for i in range(n):
+            for j in range(columns):
+                a[k, i, j] = -toward[i, j]
+            for j in range(n):
+                b[k, i, j] = right[i, j]
     return e, a, b

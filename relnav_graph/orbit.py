@@ -119,9 +119,11 @@ def two_body(r0: Array, v0: Array, mu: float, dt: float) -> tuple[Array, Array, 
     n1 = n0 * c[0] + sigma0 * u1 + u2
     f, g = 1 - u2 / n0, (n0 * u1 + sigma0 * u2) / root
     ft, gt = -root * u1 / (n0 * n1), 1 - u2 / n1
-    r, v = f * r0 + g * v0, ft * r0 + gt * v0
+    r, v, dr, dv = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        r[i], v[i] = f * r0[i] + g * v0[i], ft * r0[i] + gt * v0[i]
+        dr[i], dv[i] = r[i] - r0[i], v[i] - v0[i]
     cc = (3 * u5 - chi * u4 - root * dt * u2) / root
-    dr, dv = r - r0, v - v0
     phi = np.zeros((6, 6))
     for i in range(3):
         for j in range(3):
@@ -153,7 +155,7 @@ def two_body(r0: Array, v0: Array, mu: float, dt: float) -> tuple[Array, Array, 
 def chief_motion(orbit: Array, t: float) -> Array:
     """Radius r (m), r' (m/s), true anomaly (rad), its rate (rad/s) and acceleration
     (rad/s^2) of the target's orbit at time t, (5,)."""
-    p, e, theta0, mu = orbit
+    p, e, theta0, mu = orbit[0], orbit[1], orbit[2], orbit[3]
     out = np.zeros(5)
     if mu == 0.0:
         return out
@@ -198,10 +200,12 @@ def relative_transition(orbit: Array, t0: float, t1: float) -> Array:
     v0 = np.array([motion0[1], motion0[0] * motion0[3], 0.0])
     _, _, phi = two_body(r0, v0, orbit[3], t1 - t0)
     turn = so3.exp(np.array([0.0, 0.0, motion0[2] - motion1[2]]))
-    out = np.empty((6, 6))
-    for i in (0, 3):
-        for j in (0, 3):
-            out[i : i + 3, j : j + 3] = so3.multiply(turn, phi[i : i + 3, j : j + 3].copy())
+    out = np.zeros((6, 6))
+    for i in range(3):
+        for j in range(6):
+            for k in range(3):
+                out[i, j] += turn[i, k] * phi[k, j]
+                out[3 + i, j] += turn[i, k] * phi[3 + k, j]
     for i in range(6):  # inertial to rotating derivative: v_i = r' + w x r, w = (0, 0, th')
         out[i, 0] += out[i, 4] * motion0[3]
         out[i, 1] -= out[i, 3] * motion0[3]

@@ -182,13 +182,23 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises ScenarioError when it cannot be read."""
+    """The tables of a TOML file, over those of the file that it names as `base`.
+
+    Raises ScenarioError when one cannot be read.
+    """
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        raw = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
         raise ScenarioError(str(path), [("", f"cannot be read: {error.strerror}")]) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(str(path), [("", f"not valid TOML: {error}")]) from error
+    base = raw.pop("base", None)
+    if base is None:
+        return raw
+    other = path.parent / str(base)
+    if not isinstance(base, str) or other.resolve() == path.resolve():
+        raise ScenarioError(str(path), [("base", f"found {base!r}, expected another file")])
+    return merge(read_toml(other), raw)
 
 
 def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 Matrices are active (``R_ab`` takes b-components to a-components). Perturbations act on
 the right, ``R Exp(d)``, with d in the right-hand frame in radians: GTSAM's ``retract``.
-All functions take and return C-contiguous float64 and are compiled.
+All functions take and return C-contiguous float64 and are compiled. They are written in
+plain loops over small arrays: array expressions and slices take numba many times as long
+to compile, and run no faster.
 
 Sources: Sola, Deray, Atchuthan 2018 (arXiv:1812.01537), eqs. 132-147; Chirikjian 2012.
 """
@@ -19,6 +21,89 @@ Array = NDArray[np.float64]
 # Below this angle the series of the coefficients, to the last digit kept, replace the
 # closed forms: (t - sin t) / t^3 loses eps / t^2 to cancellation, far above it.
 _SERIES = 0.3
+
+
+@jit
+def identity(n: int) -> Array:
+    """Unit matrix (n, n)."""
+    out = np.zeros((n, n))
+    for i in range(n):
+        out[i, i] = 1.0
+    return out
+
+
+@jit
+def matrix_at(x: Array, start: int) -> Array:
+    """The (3, 3) matrix whose rows stand in x from `start` on."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = x[start + 3 * i + j]
+    return out
+
+
+@jit
+def vector_at(x: Array, start: int) -> Array:
+    """The (3,) vector that stands in x from `start` on."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = x[start + i]
+    return out
+
+
+@jit
+def put_matrix(x: Array, start: int, matrix: Array) -> None:
+    """Write a (3, 3) matrix into x, row by row, from `start` on."""
+    for i in range(3):
+        for j in range(3):
+            x[start + 3 * i + j] = matrix[i, j]
+
+
+@jit
+def put_vector(x: Array, start: int, v: Array) -> None:
+    """Write a vector into x from `start` on."""
+    for i in range(v.shape[0]):
+        x[start + i] = v[i]
+
+
+@jit
+def put(out: Array, row: int, column: int, block: Array, factor: float) -> None:
+    """Write ``factor block`` into a matrix, its upper left corner at (row, column)."""
+    for i in range(block.shape[0]):
+        for j in range(block.shape[1]):
+            out[row + i, column + j] = factor * block[i, j]
+
+
+@jit
+def add(a: Array, b: Array, factor: float) -> Array:
+    """``a + factor b`` of two matrices."""
+    out = np.empty_like(a)
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j] + factor * b[i, j]
+    return out
+
+
+@jit
+def add_vector(a: Array, b: Array, factor: float) -> Array:
+    """``a + factor b`` of two vectors."""
+    out = np.empty_like(a)
+    for i in range(a.shape[0]):
+        out[i] = a[i] + factor * b[i]
+    return out
+
+
+@jit
+def propagate_covariance(F: Array, P: Array) -> Array:
+    """``F P F^T``."""
+    n = F.shape[0]
+    half = multiply(F, P)
+    out = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            for k in range(F.shape[1]):
+                out[i, j] += half[i, k] * F[j, k]
+    return out
 
 
 @jit
@@ -148,7 +233,9 @@ def quaternion(matrix: Array) -> Array:
         q[1 + i] = m[i, k] + m[k, i]
         q[1 + j] = m[j, k] + m[k, j]
     norm = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    q /= norm if q[0] >= 0 else -norm
+    sign = 1.0 if q[0] >= 0 else -1.0
+    for i in range(4):
+        q[i] *= sign / norm
     return q
 
 
@@ -156,9 +243,10 @@ def quaternion(matrix: Array) -> Array:
 def from_quaternion(q_wxyz: Array) -> Array:
     """Rotation matrix of a Hamilton quaternion, scalar first; normalises it."""
     n = np.sqrt(q_wxyz[0] ** 2 + q_wxyz[1] ** 2 + q_wxyz[2] ** 2 + q_wxyz[3] ** 2)
-    w = q_wxyz[0] / n
-    v = q_wxyz[1:4] / n
-    return _quadratic(v, 2 * w, 2.0)
+    v = np.empty(3)
+    for i in range(3):
+        v[i] = q_wxyz[1 + i] / n
+    return _quadratic(v, 2 * q_wxyz[0] / n, 2.0)
 
 
 @jit
@@ -166,9 +254,11 @@ def log(matrix: Array) -> Array:
     """Rotation vector (3,) in rad, angle at most pi. Through the quaternion, which keeps
     all digits near 0 and near pi, where the trace formula has lost half of them."""
     q = quaternion(matrix)
-    v = q[1:4].copy()
-    n = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    v *= 2.0 / q[0] if n < 1e-12 else 2 * np.arctan2(n, q[0]) / n
+    n = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    stretch = 2.0 / q[0] if n < 1e-12 else 2 * np.arctan2(n, q[0]) / n
+    v = np.empty(3)
+    for i in range(3):
+        v[i] = stretch * q[1 + i]
     return v
 
 
@@ -197,4 +287,8 @@ def project(matrix: Array) -> Array:
 
     One Newton step of the polar decomposition; for products of many rotations.
     """
-    return multiply(matrix, 1.5 * np.eye(3) - 0.5 * transpose_multiply(matrix, matrix))
+    correction = transpose_multiply(matrix, matrix)
+    for i in range(3):
+        for j in range(3):
+            correction[i, j] = (1.5 if i == j else 0.0) - 0.5 * correction[i, j]
+    return multiply(matrix, correction)

@@ -88,13 +88,13 @@ def retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
     """x (+) d; kinds has one row (is_SO3, stored offset, tangent offset, dim) a block."""
     out = x.copy()
     for k in range(kinds.shape[0]):
-        so3_block, i, j, n = kinds[k]
+        so3_block, i, j, n = kinds[k, 0], kinds[k, 1], kinds[k, 2], kinds[k, 3]
         if so3_block:
-            matrix = x[i : i + 9].copy().reshape(3, 3)
-            product = so3.project(so3.multiply(matrix, so3.exp(d[j : j + 3])))
-            out[i : i + 9] = product.reshape(9)
+            turned = so3.multiply(so3.matrix_at(x, i), so3.exp(so3.vector_at(d, j)))
+            so3.put_matrix(out, i, so3.project(turned))
         else:
-            out[i : i + n] += d[j : j + n]
+            for m in range(n):
+                out[i + m] += d[j + m]
     return out
 
 
@@ -103,26 +103,26 @@ def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
     """The tangent vector d with a (+) d = b."""
     out = np.empty(dim)
     for k in range(kinds.shape[0]):
-        so3_block, i, j, n = kinds[k]
+        so3_block, i, j, n = kinds[k, 0], kinds[k, 1], kinds[k, 2], kinds[k, 3]
         if so3_block:
-            left = a[i : i + 9].copy().reshape(3, 3)
-            right = b[i : i + 9].copy().reshape(3, 3)
-            out[j : j + 3] = so3.log(so3.transpose_multiply(left, right))
+            turned = so3.transpose_multiply(so3.matrix_at(a, i), so3.matrix_at(b, i))
+            so3.put_vector(out, j, so3.log(turned))
         else:
-            out[j : j + n] = b[i : i + n] - a[i : i + n]
+            for m in range(n):
+                out[j + m] = b[i + m] - a[i + m]
     return out
 
 
 @jit
 def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
     """Block-diagonal right Jacobian (or its inverse) of the retraction at d."""
-    out = np.eye(d.shape[0])
+    out = so3.identity(d.shape[0])
     for k in range(kinds.shape[0]):
-        so3_block, _, j, _ = kinds[k]
-        if so3_block and inverse:
-            out[j : j + 3, j : j + 3] = so3.right_jacobian_inverse(d[j : j + 3])
-        elif so3_block:
-            out[j : j + 3, j : j + 3] = so3.right_jacobian(d[j : j + 3])
+        if kinds[k, 0]:
+            j = kinds[k, 2]
+            phi = so3.vector_at(d, j)
+            block = so3.right_jacobian_inverse(phi) if inverse else so3.right_jacobian(phi)
+            so3.put(out, j, j, block, 1.0)
     return out
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ import click
 
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.io.dataset import read_dataset, read_scenario_of
+from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
 from relnav_graph.io.readers import read_raw
 from relnav_graph.metrics import summary
 from relnav_graph.models import derived_quantities
@@ -39,10 +40,10 @@ def is_dataset(folder: Path) -> bool:
     return (folder / "scenario.toml").is_file()
 
 
-def _recorded(scenario: Scenario, folder: Path) -> tuple[Scenario, Recording]:
+def _recorded(scenario: Scenario, folder: Path) -> Recording:
     """The recording in a data set; a sensor's table is read by the scenario's model."""
     blocks = {b.name: b for b in scenario.layout}
-    return scenario, read_dataset(folder, scenario.sensors, scenario.input_names, blocks)
+    return read_dataset(folder, scenario.sensors, scenario.input_names, blocks)
 
 
 def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
@@ -50,8 +51,8 @@ def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     raw = override(read_scenario_of(folder), assignments)
-    scenario, recording = _recorded(make_scenario(raw, folder.name), folder)
-    return Pass(scenario, recording, scenario.file.seed, False)
+    scenario = make_scenario(raw, folder.name, read_settings_of(folder))
+    return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
 
 
 def open_pass(path: Path, seed: int | None, data: Path | None, assignments: Sequence[str]) -> Pass:
@@ -66,7 +67,8 @@ def open_pass(path: Path, seed: int | None, data: Path | None, assignments: Sequ
     if not data.is_dir():
         raise InputError(f"--data {data}: no such folder")
     if is_dataset(data):
-        scenario, recording = _recorded(load_scenario(path, assignments), data)
+        scenario = load_scenario(path, assignments, read_settings_of(data))
+        recording = _recorded(scenario, data)
     else:
         recording = read_folder(path, data, assignments)
         scenario = load_scenario(path, assignments, recording.settings)
@@ -83,13 +85,29 @@ def read_folder(path: Path, folder: Path, assignments: Sequence[str]) -> Recordi
     return read_raw(str(settings["reader"]), folder, settings.get("options", {}))
 
 
+class _Events(logging.Handler):
+    """What the library says of its progress, as lines on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        click.echo(record.getMessage(), err=True)
+
+
 def show_progress(text: str) -> None:
     """One line on standard error, for work that takes seconds."""
     click.echo(text, err=True)
 
 
+def show_events() -> None:
+    """Show what the library says from now on."""
+    logger = logging.getLogger("relnav_graph")
+    if not any(isinstance(h, _Events) for h in logger.handlers):
+        logger.addHandler(_Events())
+        logger.setLevel(logging.INFO)
+
+
 def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, Any]]:
     """Run estimators on one problem; their tracks, and the summary of section `--json`."""
+    show_events()
     problem = run.scenario.problem(run.recording, run.seed)
     tracks = []
     for kind in dict.fromkeys(kinds or run.scenario.file.estimators):

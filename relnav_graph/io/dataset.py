@@ -48,7 +48,14 @@ from relnav_graph.recording import Recording
 from relnav_graph.state import Block
 from relnav_graph.track import Truth
 
-__all__ = ["INPUT_COLUMNS", "read_dataset", "read_scenario_of", "write_dataset"]
+__all__ = [
+    "INPUT_COLUMNS",
+    "Format",
+    "read_dataset",
+    "read_scenario_of",
+    "read_settings_of",
+    "write_dataset",
+]
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
@@ -185,6 +192,12 @@ def read_scenario_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
     return _read_toml(Path(folder) / "scenario.toml")
 
 
+def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Settings that a data set brings, {} when none. Raises InputError on a damaged one."""
+    settings: dict[str, Any] = _manifest(Path(folder)).get("settings", {})
+    return settings
+
+
 def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement]) -> Array:
     """Times of the epochs; every observation must fall on one."""
     epochs = read_table(folder, "epochs")
@@ -278,9 +291,8 @@ def _tables(
         tables.append((name, {"t_start_s": series.t_start, "t_end_s": series.t_end, **channels}))
     truth = recording.truth or Truth(np.zeros(0), {})
     for name in truth.values:
-        if name not in blocks:
-            raise InputError(f"truth of {name!r}, which is no known block: {list(blocks)}")
-        tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
+        if name in blocks:
+            tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
     names = [name for name, _ in tables]
     for name in names:
         if names.count(name) > 1 or not re.fullmatch(r"\w[\w.+-]*", name):
@@ -307,9 +319,10 @@ def write_dataset(
 ) -> None:
     """Write a recording and its scenario as a data set; reading gives the same numbers.
 
-    blocks: definitions of the blocks of the truth. A data set that stands in `folder` is
-    replaced; InputError when anything else stands there, when nothing can be written, or
-    when the recording has a sensor, input or truth that is not known.
+    blocks: definitions of the blocks of the truth; a truth without one is left out, since
+    its units are not known. A data set that stands in `folder` is replaced. Raises
+    InputError when other files stand there, when nothing can be written, or when the
+    recording has a sensor or an input that is not known.
     """
     folder = Path(folder)
     if folder.is_dir() and any(folder.iterdir()) and not _is_dataset(folder):

@@ -100,7 +100,8 @@ def _read_group(source: Any) -> Group:
 
 
 def _check_format(path: str | os.PathLike[str], raw: Any, file_format: str, version: int) -> None:
-    found = dict(raw.attrs)
+    stamp = {k: v for k, v in dict(raw.attrs).items() if k in ("format", "format_version")}
+    found = _read_attributes(stamp)
     if found.get("format") != file_format:
         raise InputError(f"{path}: not a file of {file_format}")
     if found.get("format_version") != version:

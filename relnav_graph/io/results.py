@@ -98,11 +98,15 @@ def _track_group(track: Track, smoothed: str) -> Group:
 
 def _truth_group(truth: Truth, blocks: Mapping[str, Block]) -> Group:
     variables = {"time": _time(truth.t)}
-    for name, values in truth.values.items():
-        if name not in blocks:
-            raise InputError(f"truth of {name!r}, which no track estimates: give its block")
-        variables[name] = _block_variable(blocks[name], values)
+    known = [name for name in truth.values if name in blocks]
+    variables |= {name: _block_variable(blocks[name], truth.values[name]) for name in known}
     return Group({"source": truth.source}, variables)
+
+
+def _add_track(groups: dict[str, Group], name: str, track: Track, smoothed: str) -> None:
+    if name in groups or name in ("", "truth") or "/" in name:
+        raise InputError(f"a track cannot be called {name!r}: taken, or no name of a group")
+    groups[name] = _track_group(track, smoothed)
 
 
 def write_results(
@@ -114,19 +118,16 @@ def write_results(
 ) -> None:
     """Write tracks, truth and attributes (scenario, seed, versions) to a NetCDF-4 file.
 
-    blocks: definitions of true quantities that no track estimates. Raises InputError when
-    two groups would bear one name, when a truth has no definition, or when the file
-    cannot be written; what stood there is then as before.
+    blocks: definitions of true quantities that no track estimates; a truth without one is
+    left out, since its units are not known. Raises InputError when two groups would bear
+    one name, or when the file cannot be written; what stood there is then as before.
     """
     groups: dict[str, Group] = {}
     for track in tracks:
-        parts = [(track.name, track)]
+        smoothed = f"{track.name}_smoothed" if track.smoothed is not None else ""
+        _add_track(groups, track.name, track, smoothed)
         if track.smoothed is not None:
-            parts.append((f"{track.name}_smoothed", track.smoothed))
-        for name, part in parts:
-            if name in groups or name == "truth" or not name or "/" in name:
-                raise InputError(f"a track cannot be called {name!r}: taken, or no name of a group")
-            groups[name] = _track_group(part, parts[1][0] if part is not parts[-1][1] else "")
+            _add_track(groups, smoothed, track.smoothed, "")
     if truth is not None:
         known = {b.name: b for b in (*blocks, *(b for t in tracks for b in t.layout))}
         groups["truth"] = _truth_group(truth, known)
