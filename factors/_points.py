@@ -46,23 +46,31 @@ def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, A
     """
     orbital = x.shape[0] == 21
     R_cs, R_oc = so3.matrix_at(mounting, 0), so3.matrix_at(x, 0)
-    R_os = so3.multiply(R_oc, R_cs)
-    r = so3.vector_at(x, 18 if orbital else 9)
-    jacobian = np.empty((3, 9 if orbital else 6))
-    if orbital:
-        R_ot = so3.matrix_at(x, 9)
-        line = so3.add_vector(so3.rotate(R_ot, point_t), r, -1.0)
-        arm = so3.transpose_multiply(R_os, so3.multiply(R_ot, so3.skew(point_t)))
-        so3.put(jacobian, 0, 3, arm, -1.0)
-    else:
-        line = so3.add_vector(point_t, r, -1.0)
-    line_c = so3.unrotate(R_oc, line)
-    so3.put(jacobian, 0, 0, so3.transpose_multiply(R_cs, so3.skew(line_c)), 1.0)
+    r_at = 18 if orbital else 9
+    X_o = so3.rotate(so3.matrix_at(x, 9), point_t) if orbital else point_t
+    line_c = np.zeros(3)  # from the chaser's origin to the point
     for i in range(3):
         for j in range(3):
-            jacobian[i, jacobian.shape[1] - 3 + j] = -R_os[j, i]
-    line_c = so3.add_vector(line_c, so3.vector_at(mounting, 9), -1.0)
-    return so3.unrotate(R_cs, line_c), jacobian
+            line_c[i] += R_oc[j, i] * (X_o[j] - x[r_at + j])
+    point_s = np.zeros(3)
+    jacobian = np.empty((3, 9 if orbital else 6))
+    for i in range(3):
+        axis_c, axis_o, axis_t = np.empty(3), np.zeros(3), np.zeros(3)  # of the sensor
+        for j in range(3):
+            axis_c[j] = R_cs[j, i]
+            point_s[i] += axis_c[j] * (line_c[j] - mounting[9 + j])
+            for k in range(3):
+                axis_o[j] += R_oc[j, k] * R_cs[k, i]
+        # A row a^T [v x] is the vector product a x v.
+        so3.put_cross(jacobian, i, 0, axis_c, line_c, 1.0)
+        if orbital:
+            for j in range(3):
+                for k in range(3):
+                    axis_t[j] += x[9 + 3 * k + j] * axis_o[k]
+            so3.put_cross(jacobian, i, 3, axis_t, point_t, -1.0)
+        for j in range(3):
+            jacobian[i, jacobian.shape[1] - 3 + j] = -axis_o[j]
+    return point_s, jacobian
 
 
 @dataclass(frozen=True, kw_only=True)

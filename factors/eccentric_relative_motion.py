@@ -15,6 +15,8 @@ from relnav_graph.orbit import KeplerOrbit, chief_motion, orbit_array, relative_
 from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
 from relnav_graph.units import Quantity
 
+from ._white_noise import add_integrated_white_noise, duration, step_count
+
 Array = NDArray[np.float64]
 
 
@@ -75,11 +77,9 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r_tc_o, r_tc_o'). Steps of at most p[6] seconds; p[5] != 0: exact gravity."""
-    density2, duration = p[4] ** 2, 0.0
-    for row in range(u.shape[0]):
-        duration += u[row, 0]
-    steps = max(1, int(np.ceil(duration / p[6] - 1e-9)))
-    h = duration / steps
+    length = duration(u)
+    steps = step_count(length, p[6])
+    h = length / steps
     state, total, noise = x, so3.identity(6), np.zeros((6, 6))
     for n in range(steps):
         at = t + n * h
@@ -90,11 +90,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             state = so3.rotate(step, state)
         total = so3.multiply(step, total)
         noise = so3.propagate_covariance(step, noise)
-        for i in range(3):
-            noise[i, i] += density2 * h**3 / 3
-            noise[i, 3 + i] += density2 * h**2 / 2
-            noise[3 + i, i] += density2 * h**2 / 2
-            noise[3 + i, 3 + i] += density2 * h
+        add_integrated_white_noise(noise, 0, p[4] ** 2, h)
     so3.put_vector(x_next, 0, state)
     so3.put(F, 0, 0, total, 1.0)
     so3.put(Q, 0, 0, noise, 1.0)

@@ -15,6 +15,8 @@ from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.state import INERTIA, TARGET_ATTITUDE, TARGET_RATE, Block
 from relnav_graph.units import Quantity
 
+from ._white_noise import add_integrated_white_noise, duration, step_count
+
 Array = NDArray[np.float64]
 
 
@@ -91,12 +93,9 @@ def rate_step(w: Array, k: Array, h: float) -> tuple[Array, Array, Array, Array]
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds."""
-    torque2, inertia2 = p[4] ** 2, p[5] ** 2
-    duration = 0.0
-    for row in range(u.shape[0]):
-        duration += u[row, 0]
-    steps = max(1, int(np.ceil(duration / p[6] - 1e-9)))
-    h = duration / steps
+    length = duration(u)
+    steps = step_count(length, p[6])
+    h = length / steps
     R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), np.empty(2)
     k[0], k[1] = x[12], x[13]
     total, noise, step = so3.identity(8), np.zeros((8, 8)), so3.identity(8)
@@ -111,14 +110,10 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         so3.put(step, 3, 3, dw, 1.0)
         total = so3.multiply(step, total)
         noise = so3.propagate_covariance(step, noise)
-        for i in range(3):
-            noise[i, i] += torque2 * h**3 / 3
-            noise[i, 3 + i] += torque2 * h**2 / 2
-            noise[3 + i, i] += torque2 * h**2 / 2
-            noise[3 + i, 3 + i] += torque2 * h
+        add_integrated_white_noise(noise, 0, p[4] ** 2, h)
         for i in range(6, 8):
-            noise[i, i] += inertia2 * h
-    R_ot = so3.multiply(frame_rotation(p, t, t + duration), R_ot)
+            noise[i, i] += p[5] ** 2 * h
+    R_ot = so3.multiply(frame_rotation(p, t, t + length), R_ot)
     so3.put_matrix(x_next, 0, so3.project(R_ot))
     so3.put_vector(x_next, 9, w)
     so3.put_vector(x_next, 12, k)

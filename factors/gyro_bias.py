@@ -15,6 +15,8 @@ from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE, Block
 from relnav_graph.units import Quantity
 
+from ._white_noise import duration
+
 Array = NDArray[np.float64]
 
 
@@ -27,10 +29,8 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     R_oc, b = so3.matrix_at(x, 0), so3.vector_at(x, 9)
     total, noise, step = so3.identity(6), np.zeros((6, 6)), so3.identity(6)
     turn = np.empty(3)
-    duration = 0.0
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        duration += dt
         for i in range(3):
             turn[i] = (u[row, 1 + i] - b[i]) * dt
         ahead = so3.exp(turn)
@@ -47,7 +47,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             noise[i, 3 + i] -= u2 * dt**2 / 2
             noise[3 + i, i] -= u2 * dt**2 / 2
             noise[3 + i, 3 + i] += u2 * dt
-    R_oc = so3.multiply(frame_rotation(p, t, t + duration), R_oc)
+    R_oc = so3.multiply(frame_rotation(p, t, t + duration(u)), R_oc)
     so3.put_matrix(x_next, 0, so3.project(R_oc))
     so3.put_vector(x_next, 9, b)
     so3.put(F, 0, 0, total, 1.0)

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import (
@@ -20,6 +21,7 @@ from relnav_graph.state import (
 from relnav_graph.units import Quantity
 
 from ._points import Pose
+from ._white_noise import add_integrated_white_noise, duration
 
 Array = NDArray[np.float64]
 
@@ -27,20 +29,14 @@ Array = NDArray[np.float64]
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r, v)."""
-    dt = 0.0
-    for row in range(u.shape[0]):
-        dt += u[row, 0]
-    for i in range(6):
-        for j in range(6):
-            F[i, j] = 1.0 if i == j else 0.0
-            Q[i, j] = 0.0
+    dt = duration(u)
+    so3.put(F, 0, 0, so3.identity(6), 1.0)
+    so3.put(Q, 0, 0, np.zeros((6, 6)), 1.0)
     for i in range(3):
         x_next[i] = x[i] + dt * x[3 + i]
         x_next[3 + i] = x[3 + i]
         F[i, 3 + i] = dt
-        Q[i, i] = p[0] ** 2 * dt**3 / 3
-        Q[i, 3 + i] = Q[3 + i, i] = p[0] ** 2 * dt**2 / 2
-        Q[3 + i, 3 + i] = p[0] ** 2 * dt
+    add_integrated_white_noise(Q, 0, p[0] ** 2, dt)
     return 0
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import dynamics_pointer, sensor_pointer
+from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.loops import BROKEN, interval_rows, measure, transition
 from relnav_graph.models import Dynamics, Sensor
@@ -51,6 +51,7 @@ class _SensorArrays:
 
     name: str
     sensor: Sensor
+    kernel: int
     p: Array
     q: Array
     z: Array
@@ -64,7 +65,7 @@ class _SensorArrays:
 
     def check(self, status: Indices, times: Array) -> None:
         """Raise ModelError when the kernel broke its contract at an observation."""
-        if (status < 0).any():
+        if np.count_nonzero(status) and (status < 0).any():
             i = int(np.nonzero(status < 0)[0][0])
             raise ModelError(
                 f"sensor {self.name!r} ({self.sensor.kind}), id {self.ids[i]}"
@@ -78,6 +79,7 @@ class _ProcessArrays:
 
     name: str
     process: Dynamics
+    kernel: int
     p: Array
     u: Array
     offset: Indices
@@ -178,6 +180,7 @@ class Assembly:
                 _SensorArrays(
                     name=name,
                     sensor=sensor,
+                    kernel=sensor_address(sensor.kernel),
                     p=np.ascontiguousarray(sensor.constants(), dtype=np.float64),
                     q=np.ascontiguousarray(sensor.observation_data(ids), dtype=np.float64),
                     z=z,
@@ -203,6 +206,7 @@ class Assembly:
         return _ProcessArrays(
             name=name,
             process=process,
+            kernel=dynamics_address(process.kernel),
             p=np.ascontiguousarray(process.constants(), dtype=np.float64),
             u=np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, 1)),
             offset=offset,
@@ -254,7 +258,7 @@ class Assembly:
         status = np.zeros(self.observations, dtype=np.int64)
         for s in self._sensors:
             measure(
-                *(sensor_pointer(s.sensor.kernel), s.p, s.q, s.z, s.epoch, s.row),
+                *(s.kernel, s.p, s.q, s.z, s.epoch, s.row),
                 *(x, s.gather, s.columns, s.whiten, weight[s.part], r, H, status[s.part]),
             )
             s.check(status[s.part], self.times)
@@ -271,10 +275,10 @@ class Assembly:
         status = np.zeros(m, dtype=np.int64)
         for a in self._processes:
             transition(
-                *(dynamics_pointer(a.process.kernel), a.p, self._starts, a.u, a.offset),
+                *(a.kernel, a.p, self._starts, a.u, a.offset),
                 *(x, a.gather, a.scatter, a.columns, a.rows, x_next, F, Q, status),
             )
-            if status.any():
+            if np.count_nonzero(status):
                 k = int(np.nonzero(status)[0][0])
                 code = int(status[k])
                 where = f"process {a.name!r} ({a.process.kind}) from t = {self._starts[k]} s"

@@ -45,9 +45,18 @@ def read_block(values: gtsam.Values, key: int, block: Block) -> Array:
     return values.atVector(key)
 
 
-def _stored(values: gtsam.Values, keys: Sequence[int], blocks: Sequence[Block]) -> Array:
-    parts = [read_block(values, k, b).ravel() for k, b in zip(keys, blocks, strict=True)]
-    return np.concatenate(parts)
+class _Reader:
+    """Reads blocks from GTSAM's values into one stored vector x (1, size)."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.x = layout.identity[None].copy()
+        parts = [(b.manifold == "SO3", self.x[0, layout.stored(b.name)]) for b in layout]
+        self._places = [(so3, part.reshape(3, 3) if so3 else part) for so3, part in parts]
+
+    def read(self, values: gtsam.Values, keys: Sequence[int]) -> Array:
+        for key, (so3, place) in zip(keys, self._places, strict=True):
+            place[...] = values.atRot3(key).matrix() if so3 else values.atVector(key)
+        return self.x
 
 
 def _check_keys(kind: str, keys: Sequence[int], blocks: Sequence[Block]) -> None:
@@ -67,13 +76,13 @@ def measurement_factor(sensor: Sensor, m: Measurement, keys: Sequence[int]) -> g
     assembly = Assembly(layout, {}, {m.sensor: sensor}, [Epoch(m.t, (m,))])
     weight = np.ones(assembly.observations)
     columns = [layout.tangent(b.name) for b in layout]
+    reader = _Reader(layout)
 
     def error(
         factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
     ) -> Array:
-        x = _stored(values, factor.keys(), layout.blocks)
-        rows = assembly.measure(x[None], weight)
-        if rows.status.any():
+        rows = assembly.measure(reader.read(values, factor.keys()), weight)
+        if np.count_nonzero(rows.status):
             bad = np.nonzero(rows.status)[0][0]
             raise GeometryError(
                 f"{sensor.kind}: id {m.ids[bad]} at t = {m.t} s:"
@@ -114,15 +123,15 @@ def process_factor(
     whiten = assembly.whitening(assembly.transition(start[None])[2])[:, :n, :n].copy()
     columns = [layout.tangent(b.name) for b in layout]
     columns_next = [advanced.tangent(b.name) for b in advanced]
+    reader, reader_next = _Reader(layout), _Reader(advanced)
 
     def error(
         factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
     ) -> Array:
         at = factor.keys()
-        x0 = _stored(values, at[: len(columns)], layout.blocks)
-        x1 = _stored(values, at[len(columns) :], advanced.blocks)
-        x_next, F, _ = assembly.transition(x0[None])
-        rows = process_rows(advanced, x_next[:, :size], x1[None], F[:, :n], whiten)
+        x_next, F, _ = assembly.transition(reader.read(values, at[: len(columns)]))
+        x1 = reader_next.read(values, at[len(columns) :])
+        rows = process_rows(advanced, x_next[:, :size], x1, F[:, :n], whiten)
         if jacobians is not None:
             for i, part in enumerate(columns):
                 jacobians[i] = rows.A[0][:, part]

@@ -1,6 +1,6 @@
 """The compiled loops over all observations of a sensor and all intervals of a process.
 
-Compiled once for all models: a kernel is an argument. A kernel that leaves an entry
+Compiled once for all models: a kernel comes as an address. A kernel that leaves an entry
 unfilled, or writes past its arrays, is found out here.
 """
 
@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import (
-    DYNAMICS_KERNEL,
     INDICES,
     MATRIX,
-    SENSOR_KERNEL,
     STACK,
     VECTOR,
+    dynamics_at,
     jit,
     jit_as,
+    sensor_at,
 )
-from relnav_graph.models import Kernel
 from relnav_graph.state import block_jacobian, local
 
 __all__ = ["BROKEN", "interval_rows", "measure", "transition"]
@@ -75,13 +74,13 @@ def _gather(x: Array, k: int, places: Indices) -> Array:
 
 
 @jit_as(
-    types.FunctionType(SENSOR_KERNEL),
+    types.int64,
     *(VECTOR, MATRIX, MATRIX, INDICES, INDICES),
     *(MATRIX, INDICES, INDICES, STACK, VECTOR),
     *(VECTOR, MATRIX, INDICES),
 )
 def measure(
-    kernel: Kernel,
+    address: int,
     p: Array,
     q: Array,
     z: Array,
@@ -98,6 +97,7 @@ def measure(
 ) -> None:
     """Fill the rows r, H, which come as zeros, of all observations of one sensor; those
     whose status is not 0 stay zero."""
+    kernel = sensor_at(address)
     rows, n = whiten.shape[1], columns.shape[0]
     r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
     r_one = r_buffer[_GUARD : _GUARD + rows]
@@ -124,13 +124,13 @@ def measure(
 
 
 @jit_as(
-    types.FunctionType(DYNAMICS_KERNEL),
+    types.int64,
     *(VECTOR, VECTOR, MATRIX, INDICES),
     *(MATRIX, INDICES, INDICES, INDICES, INDICES),
     *(MATRIX, STACK, STACK, INDICES),
 )
 def transition(
-    kernel: Kernel,
+    address: int,
     p: Array,
     t: Array,
     u: Array,
@@ -146,6 +146,7 @@ def transition(
     status: Indices,
 ) -> None:
     """Propagate the blocks of one process over all intervals, into x_next, F, Q."""
+    kernel = dynamics_at(address)
     m, n, size = rows.shape[0], columns.shape[0], scatter.shape[0]
     x_buffer, f_buffer, q_buffer = _guarded(size), _guarded(m * n), _guarded(m * m)
     x_one = x_buffer[_GUARD : _GUARD + size]

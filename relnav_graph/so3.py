@@ -165,6 +165,14 @@ def cross(a: Array, b: Array) -> Array:
 
 
 @jit
+def put_cross(out: Array, row: int, column: int, a: Array, b: Array, factor: float) -> None:
+    """Write ``factor a x b`` into one row of a matrix, from `column` on."""
+    out[row, column] = factor * (a[1] * b[2] - a[2] * b[1])
+    out[row, column + 1] = factor * (a[2] * b[0] - a[0] * b[2])
+    out[row, column + 2] = factor * (a[0] * b[1] - a[1] * b[0])
+
+
+@jit
 def skew(v: Array) -> Array:
     """``[v x]``, (3, 3): ``skew(a) b = a x b``."""
     out = np.zeros((3, 3))
