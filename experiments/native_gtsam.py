@@ -10,7 +10,7 @@ velocity, and the target's attitude.
     v0 .. v19  r_tc_o', relative velocity, m/s        Vector(3)
     t0         R_ot, target attitude                  Rot3
 
-    [prior]--c0---[between]---c1---[between]---c2 ...     PriorFactorRot3, BetweenFactorRot3: GTSAM's
+    [prior]--c0---[between]---c1---[between]---c2 ...     GTSAM's PriorFactorRot3, BetweenFactorRot3
               |               |               |
            [beacons]       [beacons]       [beacons]      measurement_factor: ours, on c, t0, p
             |   |           |   |           |   |
@@ -32,7 +32,12 @@ from relnav_graph import so3
 from relnav_graph.graph import insert_block, measurement_factor, process_factor, read_block
 from relnav_graph.models import Measurement
 from relnav_graph.orbit import KeplerOrbit
-from relnav_graph.state import CHASER_ATTITUDE, RELATIVE_POSITION, RELATIVE_VELOCITY, TARGET_ATTITUDE
+from relnav_graph.state import (
+    CHASER_ATTITUDE,
+    RELATIVE_POSITION,
+    RELATIVE_VELOCITY,
+    TARGET_ATTITUDE,
+)
 
 EPOCHS, STEP = 20, 10.0
 
@@ -56,6 +61,7 @@ def main() -> dict[str, float]:
     params.setRelinearizeThreshold(1e-4)
     isam = gtsam.ISAM2(params)
     between = gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)
+    estimate = gtsam.Values()
     for k in range(EPOCHS):
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if k == 0:
@@ -63,8 +69,12 @@ def main() -> dict[str, float]:
             guess_r, guess_v = r + rng.normal(0, 0.2, 3), v + rng.normal(0, 1e-3, 3)
             attitude = gtsam.noiseModel.Isotropic.Sigma(3, 0.01)
             graph.add(gtsam.PriorFactorRot3(C(0), start, attitude))
-            graph.add(gtsam.PriorFactorVector(P(0), guess_r, gtsam.noiseModel.Isotropic.Sigma(3, 0.2)))
-            graph.add(gtsam.PriorFactorVector(V(0), guess_v, gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
+            graph.add(
+                gtsam.PriorFactorVector(P(0), guess_r, gtsam.noiseModel.Isotropic.Sigma(3, 0.2))
+            )
+            graph.add(
+                gtsam.PriorFactorVector(V(0), guess_v, gtsam.noiseModel.Isotropic.Sigma(3, 1e-3))
+            )
             R_ot_guess = so3.multiply(R_ot, so3.exp(rng.normal(0, 0.05, 3)))
             graph.add(
                 gtsam.PriorFactorRot3(

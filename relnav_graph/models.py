@@ -76,7 +76,10 @@ class Sensor(Protocol):
     columns: ClassVar[tuple[str, ...]]
     #: Residual rows of one observation.
     rows: ClassVar[int]
-    kernel: ClassVar[Kernel]
+
+    @property
+    def kernel(self) -> Kernel:
+        """Compiled function of the signature `relnav_graph.compiled.SENSOR_KERNEL`."""
 
     @property
     def reads(self) -> tuple[Block, ...]:
@@ -115,7 +118,10 @@ class Dynamics(Protocol):
     kind: ClassVar[str]
     #: Names of the inputs (gyro, accelerometer), each a known mean over sub-intervals.
     inputs: ClassVar[tuple[str, ...]]
-    kernel: ClassVar[Kernel]
+
+    @property
+    def kernel(self) -> Kernel:
+        """Compiled function of the signature `relnav_graph.compiled.DYNAMICS_KERNEL`."""
 
     @property
     def advances(self) -> tuple[Block, ...]:

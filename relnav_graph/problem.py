@@ -137,8 +137,12 @@ class Problem:
                 f" ({self.layout.size},) and ({n}, {n}) for {self.layout}"
             )
         times = np.array([e.t for e in self.epochs])
-        if not len(times) or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-            raise InputError("epochs: expected one or more, at finite and increasing times")
+        if not len(times):
+            raise InputError("epochs: found none, expected one or more")
+        bad = ~np.isfinite(times) | np.concatenate(([False], np.diff(times) <= 0))
+        if bad.any():
+            k = int(np.nonzero(bad)[0][0])
+            raise InputError(f"epoch {k}: found t = {times[k]} s, expected increasing times")
         for epoch in self.epochs:
             for m in epoch.measurements:
                 if m.sensor not in self.sensors:

@@ -32,7 +32,7 @@ from relnav_graph.settings import (
 )
 from relnav_graph.state import Block, Layout
 from relnav_graph.track import Truth
-from relnav_graph.units import Quantity
+from relnav_graph.units import Quantity, parse_quantity
 
 __all__ = ["Scenario", "ScenarioError", "load_scenario", "make_scenario", "override", "read_toml"]
 
@@ -62,6 +62,22 @@ class Scenario:
     def input_names(self) -> list[str]:
         """Inputs that the processes need."""
         return sorted({i for p in self.processes.values() for i in p.inputs})
+
+    def window(self, times: Array) -> tuple[float, float] | None:
+        """The scored part of a pass at `times` (N,), s, as fractions of it; None for all."""
+        if self.file.evaluate is None:
+            return None
+        t0, length = float(times[0]), float(times[-1] - times[0]) or 1.0
+        low, high = (
+            (parse_quantity(end, "s") - t0) / length if isinstance(end, str) else end
+            for end in self.file.evaluate
+        )
+        if not low < high or high < 0 or low > 1:
+            raise InputError(
+                f"{self.name}: evaluate = {self.file.evaluate} leaves no part of a pass from"
+                f" {t0} s to {t0 + length} s"
+            )
+        return max(low, 0.0), min(high, 1.0)
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass. Raises InputError when the scenario is not for simulation."""

@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from relnav_graph import models, sim
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.registry import classes, find_class
-from relnav_graph.units import Quantity
+from relnav_graph.units import Quantity, parse_quantity
 
 __all__ = [
     "BlockPrior",
@@ -29,8 +29,19 @@ __all__ = [
 ]
 
 Problems = list[tuple[str, str]]
+
+
+def _checked_bound(value: float | str) -> float | str:
+    if isinstance(value, str):
+        parse_quantity(value, "s")
+    elif not 0 <= value <= 1:
+        raise InputError(f"found {value}, expected a fraction of the pass or a time like '60 s'")
+    return value
+
+
 MISSING = "missing, and required"
 Seconds = Annotated[float, Quantity("s", positive=True)]
+Bound = Annotated[float | str, AfterValidator(_checked_bound)]
 _STRICT = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
 
@@ -86,7 +97,11 @@ class BlockPrior(BaseModel):
 
 
 class ScenarioFile(BaseModel):
-    """The tables of a scenario file. Models are checked apart, by their `kind`."""
+    """The tables of a scenario file. Models are checked apart, by their `kind`.
+
+    evaluate: the part of the pass that is scored, each end a fraction of it or a time
+    with its unit.
+    """
 
     model_config = _STRICT
 
@@ -94,7 +109,7 @@ class ScenarioFile(BaseModel):
     description: str = ""
     seed: int = Field(default=0, ge=0)
     estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]
-    evaluate: tuple[float, float] | None = None
+    evaluate: tuple[Bound, Bound] | None = None
     time: TimeSettings | None = None
     data: DataSettings | None = None
     orbit: dict[str, Any] | None = None

@@ -122,7 +122,7 @@ def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, An
         tracks,
         run.recording.truth,
         derived_quantities(run.scenario.layout),
-        run.scenario.file.evaluate,
+        run.scenario.window(problem.times),
         len(problem.epochs),
     )
     return tracks, found
