@@ -30,6 +30,7 @@ from numba.extending import intrinsic
 __all__ = [
     "DYNAMICS_KERNEL",
     "SENSOR_KERNEL",
+    "announce",
     "cache_folder",
     "dynamics_address",
     "dynamics_at",
@@ -103,14 +104,17 @@ def jit(function: F) -> F:
 
 @cache
 def _announce(folder: Path) -> None:
-    """Say, once, that models are compiled for the first time: it takes half a minute."""
     if not folder.exists():
-        _LOG.info("compiling the models; later runs take them from %s", folder.parent)
+        _LOG.info("compiling the models, once; later runs take them from %s", folder)
+
+
+def announce(kernel: Any) -> None:
+    """Say, once, when a kernel will be compiled for the first time: that takes a while."""
+    _announce(cache_folder(kernel.py_func.__code__.co_filename))
 
 
 @cache
 def _address(kernel: Any, signature: Any) -> int:
-    _announce(cache_folder(kernel.py_func.__code__.co_filename))
     return _get_jit_address(kernel, signature)  # type: ignore[no-any-return]
 
 

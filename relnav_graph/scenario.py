@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from relnav_graph import models, sim, so3
+from relnav_graph.compiled import announce
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Prior, Problem, layout_of, make_epochs
@@ -223,6 +224,8 @@ def make_scenario(
     _check_prior(layout, file, problems)
     if problems:
         raise ScenarioError(name, problems)
+    for model in [*made["processes"].values(), *made["sensors"].values()]:
+        announce(model.kernel)
     return Scenario(
         name, file, merged, made["processes"], made["sensors"], options, truth, inputs, layout
     )

@@ -48,6 +48,7 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
 
 def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
     """A data set with its own scenario. Raises InputError on whatever is wrong."""
+    show_events()
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     raw = override(read_scenario_of(folder), assignments)
@@ -60,6 +61,7 @@ def open_pass(path: Path, seed: int | None, data: Path | None, assignments: Sequ
 
     Raises InputError on whatever is wrong with any of them.
     """
+    show_events()
     if data is None:
         scenario = load_scenario(path, assignments)
         seed = scenario.file.seed if seed is None else seed
@@ -107,7 +109,6 @@ def show_events() -> None:
 
 def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, Any]]:
     """Run estimators on one problem; their tracks, and the summary of section `--json`."""
-    show_events()
     problem = run.scenario.problem(run.recording, run.seed)
     chosen = list(dict.fromkeys(kinds or run.scenario.file.estimators))
     for kind in chosen:  # what is not compiled yet must not count as run time

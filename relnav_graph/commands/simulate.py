@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import show_progress
+from relnav_graph.commands import show_events, show_progress
 from relnav_graph.io.dataset import write_dataset
 from relnav_graph.scenario import load_scenario
 
@@ -21,6 +21,7 @@ def command(
     scenario: Path, seed: int | None, assignments: tuple[str, ...], out: Path, parquet: bool
 ) -> None:
     """Simulate SCENARIO and write measurements, inputs and truth as a data set."""
+    show_events()
     loaded = load_scenario(scenario, assignments)
     seed = loaded.file.seed if seed is None else seed
     recording = loaded.simulate(seed)
