@@ -104,7 +104,7 @@ def jit(function: F) -> F:
 
 @cache
 def _announce(folder: Path) -> None:
-    if not folder.exists():
+    if next(folder.rglob("*.nbi"), None) is None:  # numba makes the folder at import
         _LOG.info("compiling the models, once; later runs take them from %s", folder)
 
 
