@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
+from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
 
@@ -98,6 +99,14 @@ class BeaconLineOfSight(PointSensor):
     failures = {1: "the beacon is seen opposite to where it should be"}
 
     sigma: Annotated[float, Quantity("rad", positive=True)]
+
+    def accept(self, z: Array) -> Array:
+        """Unit vectors (k, 3). Raises InputError when one is not, within 1e-3."""
+        lengths = np.linalg.norm(super().accept(z), axis=1, keepdims=True)
+        if (np.abs(lengths - 1) > 1e-3).any():
+            worst = z[np.abs(lengths - 1).argmax()]
+            raise InputError(f"{self.kind}: found {worst}, expected a unit vector")
+        return z / lengths  # type: ignore[no-any-return]
 
     def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
         """Unit vectors (k, 3) in sensor axes."""

@@ -66,6 +66,7 @@ class BodyVelocity(DynamicsModel):
 
     kind: ClassVar[str] = "body_velocity"
     inputs: ClassVar[tuple[str, ...]] = ("velocity", "gyro")
+    channels: ClassVar[int] = 6
     kernel = staticmethod(kernel)
 
     velocity_density: Annotated[Array, Quantity("m/sqrt(s)", (3,), positive=True, fill=True)]

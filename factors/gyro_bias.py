@@ -70,6 +70,7 @@ class GyroBias(DynamicsModel):
 
     kind: ClassVar[str] = "gyro_bias"
     inputs: ClassVar[tuple[str, ...]] = ("gyro",)
+    channels: ClassVar[int] = 3
     kernel = staticmethod(kernel)
 
     angle_random_walk_density: Annotated[

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.loops import BROKEN, interval_rows, measure, transition
-from relnav_graph.models import Dynamics, Sensor
+from relnav_graph.models import Dynamics, Sensor, check_inputs
 from relnav_graph.problem import Epoch
 from relnav_graph.state import Layout
 
@@ -161,10 +161,10 @@ class Assembly:
             sizes = [len(m.z) for m in ms]
             ids = np.concatenate([m.ids for m in ms])
             z = np.concatenate([m.z for m in ms])
-            if z.shape[1] != len(sensor.columns):
-                raise InputError(
-                    f"sensor {name!r}: found {z.shape[1]} values per row, expected {sensor.columns}"
-                )
+            try:
+                z = np.ascontiguousarray(sensor.accept(z), dtype=np.float64)
+            except InputError as error:
+                raise InputError(f"sensor {name!r}: {error}") from error
             noise = np.concatenate([sensor.noise(m) for m in ms])
             if noise.shape != (len(z), sensor.rows, sensor.rows):
                 raise ModelError(
@@ -199,7 +199,11 @@ class Assembly:
     def _stack_process(
         self, name: str, process: Dynamics, epochs: Sequence[Epoch]
     ) -> _ProcessArrays:
-        parts = [epoch.inputs[name] for epoch in epochs]
+        parts = []
+        for epoch in epochs:
+            if name not in epoch.inputs:
+                raise InputError(f"process {name!r}: the epoch at {epoch.t} s has no inputs for it")
+            parts.append(check_inputs(process.kind, process.channels, epoch.inputs[name]))
         offset = np.concatenate(([0], np.cumsum([len(u) for u in parts]))).astype(np.int64)
         gather, columns = self.layout.gather(process.advances + process.reads)
         scatter, rows = self.layout.gather(process.advances)

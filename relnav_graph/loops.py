@@ -187,7 +187,7 @@ def interval_rows(
         error = local(x0_next[k], x1[k], kinds, n)
         for i in range(n):
             minus[i] = -error[i]
-            for j in range(i + 1):  # whitening matrices are lower triangular
+            for j in range(n):
                 e[k, i] += whiten[k, i, j] * error[j]
         left = so3.multiply(whiten[k], block_jacobian(minus, kinds, True))
         toward = so3.multiply(left, F[k])

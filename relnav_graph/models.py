@@ -95,6 +95,10 @@ class Sensor(Protocol):
     def observables(self) -> NDArray[np.int64]:
         """Ids that a simulated sensor looks for."""
 
+    def accept(self, z: Array) -> Array:
+        """Measured values z (k, nz) as the kernel wants them. Raises InputError on values
+        that this sensor cannot give."""
+
     def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
         """z (k, nz) without noise, from one value per block read. Raises GeometryError."""
 
@@ -118,6 +122,8 @@ class Dynamics(Protocol):
     kind: ClassVar[str]
     #: Names of the inputs (gyro, accelerometer), each a known mean over sub-intervals.
     inputs: ClassVar[tuple[str, ...]]
+    #: Columns of all inputs together.
+    channels: ClassVar[int]
 
     @property
     def kernel(self) -> Kernel:
@@ -163,6 +169,20 @@ def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:
     return np.concatenate([b.pack(v) for b, v in zip(blocks, values, strict=True)])
 
 
+def check_inputs(kind: str, channels: int, u: Any) -> Array:
+    """u (rows, 1 + channels) of an interval, C-contiguous float64.
+
+    Raises InputError on another shape, values that are not finite, lengths that are not
+    positive.
+    """
+    array = np.ascontiguousarray(u, dtype=np.float64)
+    if array.ndim != 2 or not len(array) or array.shape[1] != 1 + channels:
+        raise InputError(f"{kind}: found u of {array.shape}, expected (rows, {1 + channels})")
+    if not np.isfinite(array).all() or (array[:, 0] <= 0).any():
+        raise InputError(f"{kind}: found u = {array}, expected finite values and lengths > 0")
+    return array
+
+
 def _check_filled(kind: str, **arrays: Array) -> None:
     for name, array in arrays.items():
         if not np.isfinite(array).all():
@@ -196,6 +216,12 @@ class SensorModel:
     def observables(self) -> NDArray[np.int64]:
         return np.zeros(1, dtype=np.int64)
 
+    def accept(self, z: Array) -> Array:
+        """z (k, nz), checked. Raises InputError on rows of another width."""
+        if z.ndim != 2 or z.shape[1] != len(self.columns):
+            raise InputError(f"{self.kind}: found z of {z.shape}, expected columns {self.columns}")
+        return z
+
     def perturb(self, z: Array, e: Array) -> Array:
         return z + e
 
@@ -212,10 +238,11 @@ class SensorModel:
         packed = _pack(self.reads, x, self.kind)
         dims = [b.dim for b in self.reads]
         p, q = self.constants(), self.observation_data(m.ids)
-        r = np.full((len(m.z), self.rows), np.nan)
-        jacobian = np.full((len(m.z), self.rows, sum(dims)), np.nan)
-        for k in range(len(m.z)):
-            status = self.kernel(p, q[k], m.z[k], packed, r[k], jacobian[k])
+        z = self.accept(m.z)
+        r = np.full((len(z), self.rows), np.nan)
+        jacobian = np.full((len(z), self.rows, sum(dims)), np.nan)
+        for k in range(len(z)):
+            status = self.kernel(p, q[k], z[k], packed, r[k], jacobian[k])
             if status:
                 raise GeometryError(
                     f"{self.kind}: id {m.ids[k]} at t = {m.t} s: {self.failure(status)}"
@@ -230,6 +257,7 @@ class DynamicsModel:
 
     kind: ClassVar[str]
     inputs: ClassVar[tuple[str, ...]] = ()
+    channels: ClassVar[int] = 0
     kernel: ClassVar[Kernel]
     failures: ClassVar[Mapping[int, str]] = {}
 
@@ -265,7 +293,7 @@ class DynamicsModel:
         x_next = np.full(sum(b.size for b in self.advances), np.nan)
         F = np.full((n, n + sum(b.dim for b in self.reads)), np.nan)
         Q = np.full((n, n), np.nan)
-        u = np.ascontiguousarray(u, dtype=np.float64)
+        u = check_inputs(self.kind, self.channels, u)
         status = self.kernel(self.constants(), float(t), u, packed, x_next, F, Q)
         if status:
             raise GeometryError(f"{self.kind}: from t = {t} s: {self.failure(status)}")

@@ -11,7 +11,7 @@ import math
 import re
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,6 +172,12 @@ class Quantity:
 
 
 @cache
+def _choices(cls: type) -> dict[str, tuple[Any, ...]]:
+    hints = get_type_hints(cls)
+    return {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
+
+
+@cache
 def _quantities(cls: type) -> dict[str, Quantity]:
     hints = get_type_hints(cls, include_extras=True)
     found = {}
@@ -185,13 +191,20 @@ def _quantities(cls: type) -> dict[str, Quantity]:
 
 
 def check_fields(instance: Any) -> None:
-    """Check every `Quantity` field of a frozen dataclass and store it as a float or array.
+    """Check every `Quantity` field of a frozen dataclass and store it as a float or array;
+    check that a `Literal` field is one of its choices.
 
     Call it in ``__post_init__``. Raises InputError with the name of the field.
     """
     quantities = _quantities(type(instance))  # type: ignore[arg-type]
+    choices = _choices(type(instance))  # type: ignore[arg-type]
     for field in dataclasses.fields(instance):
         value = getattr(instance, field.name)
+        if field.name in choices and value not in choices[field.name]:
+            raise InputError(
+                f"{type(instance).__name__}.{field.name}: found {value!r},"
+                f" expected one of {choices[field.name]}"
+            )
         if field.name in quantities and value is not None:
             try:
                 checked = quantities[field.name].check(value)

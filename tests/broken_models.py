@@ -1,0 +1,202 @@
+"""Models that break their contract, run through an estimator and through iSAM2.
+
+A program of `test_broken_models.py`: what it provokes may crash. For each argument it says
+what became of each model, one line each, and "alive" in the end.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from toy_model import PositionFix, ThermalDrift
+
+from factors.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_graph import graph
+from relnav_graph.compiled import jit
+from relnav_graph.errors import RelnavError
+from relnav_graph.estimators import run_estimator
+from relnav_graph.models import Measurement
+from relnav_graph.problem import Prior, Problem, make_epochs
+
+Array = NDArray[np.float64]
+
+
+@jit
+def unfilled(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    for i in range(3):
+        r[i] = x[i] - z[i]
+        H[i, i] = 1.0
+    return 0
+
+
+@jit
+def outside(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    H[:, :] = 0.0
+    for i in range(7):
+        r[i] = 0.0
+    return 0
+
+
+@jit
+def outside_jacobian(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    r[:] = 0.0
+    H[:, :] = 0.0
+    H[3, 0] = 1.0
+    return 0
+
+
+@jit
+def before(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    r[:] = 0.0
+    H[:, :] = 0.0
+    r[-4] = 1.0
+    return 0
+
+
+@jit
+def fewer(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    for i in range(2):
+        r[i] = 0.0
+        for j in range(3):
+            H[i, j] = 0.0
+    return 0
+
+
+@jit
+def not_finite(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    r[:] = 0.0
+    H[:, :] = 0.0
+    H[1, 1] = np.inf
+    return 0
+
+
+def nothing(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> None:
+    r[:] = 0.0
+    H[:, :] = 0.0
+
+
+def arguments(p: Array, q: Array, z: Array, x: Array, r: Array) -> int:
+    return 0
+
+
+@jit
+def process_unfilled(
+    p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array
+) -> int:
+    x_next[0] = x[0]
+    F[0, 0] = 1.0
+    return 0
+
+
+@jit
+def process_outside(
+    p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array
+) -> int:
+    x_next[0] = x[0]
+    F[0, 0] = 1.0
+    Q[0, 0] = 1.0
+    x_next[5] = 1.0
+    return 0
+
+
+def sensor_with(kernel: Any, **members: Any) -> Any:
+    cls = type("Broken", (PositionFix,), {"kernel": staticmethod(kernel), **members})
+    return cls(covariance=np.eye(3))
+
+
+SENSORS: dict[str, Any] = {
+    "unfilled": lambda: sensor_with(unfilled),
+    "outside": lambda: sensor_with(outside),
+    "outside_jacobian": lambda: sensor_with(outside_jacobian),
+    "before": lambda: sensor_with(before),
+    "fewer": lambda: sensor_with(fewer),
+    "not_finite": lambda: sensor_with(not_finite),
+    "nothing": lambda: sensor_with(jit(nothing)),
+    "arguments": lambda: sensor_with(jit(arguments)),
+    "not_compiled": lambda: sensor_with(nothing),
+    "more_rows": lambda: sensor_with(PositionFix.kernel, rows=4),
+    "fewer_rows": lambda: sensor_with(PositionFix.kernel, rows=2),
+    "fewer_rows_noise": lambda: sensor_with(
+        PositionFix.kernel, rows=2, noise=lambda self, m: np.tile(np.eye(2), (len(m.z), 1, 1))
+    ),
+}
+PROCESSES: dict[str, Any] = {
+    "process_unfilled": process_unfilled,
+    "process_outside": process_outside,
+}
+
+MEASUREMENT = Measurement("fix", 0.0, np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
+
+
+def estimate(sensors: dict[str, Any], electronics: Any) -> None:
+    processes: dict[str, Any] = {
+        "motion": WhiteNoiseAcceleration(acceleration_density=1.0),
+        "drift": electronics,
+    }
+    measurements = [
+        MEASUREMENT,
+        Measurement("fix", 1.0, np.zeros((1, 3)), np.zeros(1, dtype=np.int64)),
+    ]
+    epochs = make_epochs(processes, measurements, {})
+    run_estimator("ekf", Problem(processes, sensors, Prior(np.zeros(7), np.eye(7)), epochs))
+
+
+def incremental(factor: gtsam.CustomFactor, keys: list[tuple[int, int]]) -> None:
+    params = gtsam.ISAM2Params()
+    params.setFactorization("QR")
+    isam = gtsam.ISAM2(params)
+    new, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for key, n in keys:
+        values.insert(key, np.zeros(n))
+        new.add(gtsam.PriorFactorVector(key, np.zeros(n), gtsam.noiseModel.Unit.Create(n)))
+    new.add(factor)
+    isam.update(new, values)
+
+
+def assembly_sensor(name: str) -> None:
+    estimate({"fix": SENSORS[name]()}, ThermalDrift(time_constant=1.0, density=1.0))
+
+
+def assembly_process(name: str) -> None:
+    cls = type("Broken", (ThermalDrift,), {"kernel": staticmethod(PROCESSES[name])})
+    estimate({"fix": PositionFix(covariance=np.eye(3))}, cls(time_constant=1.0, density=1.0))
+
+
+def isam2_sensor(name: str) -> None:
+    incremental(graph.measurement_factor(SENSORS[name](), MEASUREMENT, [7]), [(7, 3)])
+
+
+def isam2_process(name: str) -> None:
+    cls = type("Broken", (ThermalDrift,), {"kernel": staticmethod(PROCESSES[name])})
+    process = cls(time_constant=1.0, density=1.0)
+    factor = graph.process_factor(process, 0.0, np.ones((1, 1)), [7], [8], [np.zeros(1)])
+    incremental(factor, [(7, 1), (8, 1)])
+
+
+WAYS = {
+    "assembly_sensor": assembly_sensor,
+    "assembly_process": assembly_process,
+    "isam2_sensor": isam2_sensor,
+    "isam2_process": isam2_process,
+}
+
+
+def verdict(way: str, name: str) -> str:
+    try:
+        WAYS[way](name)
+    except RelnavError as error:
+        return f"{type(error).__name__}: {str(error).splitlines()[0]}"
+    except Exception as error:
+        return f"other {type(error).__name__}"
+    return "accepted"
+
+
+if __name__ == "__main__":
+    for way in sys.argv[1:]:
+        for name in PROCESSES if way.endswith("process") else SENSORS:
+            print(way, name, verdict(way, name), flush=True)
+    print("alive", flush=True)

@@ -1,0 +1,219 @@
+"""One or more examples of every model, for the tests that walk all models.
+
+To add a model, add its kind to `EXAMPLES` below: instances that together use every option
+of the model, and, for a process model, the diffusion of its white noise. States and inputs
+are drawn from `SCALES`; a sensor that needs a sensible geometry brings its own `draw`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.beacon_los import BeaconLineOfSight
+from factors.body_velocity import BodyVelocity
+from factors.eccentric_relative_motion import EccentricRelativeMotion
+from factors.euler_rotation import EulerRotation, InertiaRatios
+from factors.gyro_bias import GyroBias
+from factors.relative_pose import PositionInTarget, RelativeAttitude
+from factors.stereo_point import StereoPoint, StereoPointCartesian
+from factors.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_graph import so3
+from relnav_graph.orbit import KeplerOrbit
+from relnav_graph.state import Block
+
+Array = NDArray[np.float64]
+Draw = Callable[[np.random.Generator, str], tuple[Array, ...]]
+
+#: near: attitudes near the identity, short intervals, small residuals; moderate; large:
+#: any attitude, rates up to 1 rad/s, long intervals, residuals over 1 rad or 10 sigma.
+REGIMES = ("near", "moderate", "large")
+
+#: Size of a component of a block or input in each regime, SI; 1 for what is not listed.
+SCALES: Mapping[str, tuple[float, float, float]] = {
+    "relative_position": (1.0, 100.0, 1000.0),
+    "relative_velocity": (0.01, 0.5, 5.0),
+    "target_rate": (1e-4, 0.05, 0.5),
+    "gyro_bias": (1e-7, 1e-5, 1e-2),
+    "inertia_parameters": (0.01, 0.4, 1.0),
+    "gyro": (1e-4, 0.05, 0.5),
+    "velocity": (0.01, 0.5, 5.0),
+}
+
+
+def scale_of(name: str, regime: str) -> float:
+    return SCALES.get(name, (1.0, 1.0, 1.0))[REGIMES.index(regime)]
+
+
+def draw_block(block: Block, rng: np.random.Generator, regime: str) -> Array:
+    """A value of a block; now and then an attitude is exactly the identity."""
+    if block.manifold == "SO3":
+        if regime == "near":
+            return np.eye(3) if rng.random() < 0.1 else so3.exp(1e-3 * rng.normal(size=3))
+        return so3.exp((1.0 if regime == "moderate" else 3.0) * rng.normal(size=3))
+    return scale_of(block.name, regime) * rng.normal(size=block.dim)
+
+
+def draw_blocks(blocks: Iterable[Block]) -> Draw:
+    return lambda rng, regime: tuple(draw_block(b, rng, regime) for b in blocks)
+
+
+@dataclass(frozen=True)
+class SensorExample:
+    """draw: values of the blocks read at which the sensor sees everything; step: size of
+    a moderate change of each block; least_large: residual norm that "large" must exceed."""
+
+    model: Any
+    draw: Draw
+    step: Mapping[str, float] = field(default_factory=dict)
+    least_large: float = 0.0
+
+
+@dataclass(frozen=True)
+class DynamicsExample:
+    """diffusion: of the advanced blocks' white noise, unit^2/s, (n, n) at given values;
+    channels: of each input; companions: processes that advance the blocks that are read."""
+
+    model: Any
+    diffusion: Callable[..., Array]
+    channels: Mapping[str, int] = field(default_factory=dict)
+    companions: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class DerivedExample:
+    """A derived quantity."""
+
+    model: Any
+
+
+Example = SensorExample | DynamicsExample | DerivedExample
+
+BEACONS = np.array(
+    [[0.5, 0.5, 0], [-0.5, -0.5, 0], [-0.5, 0.5, 0], [0.2, 0.5, 0.1], [0, 0.2, -0.1]]
+)
+MOUNTED: dict[str, Any] = {
+    "sensor_attitude": so3.exp(np.array([0.3, -1.1, 0.7])),
+    "sensor_position": np.array([0.4, -0.2, 0.1]),
+}
+LOW = KeplerOrbit(7.2e6, 0.05, 0.3)
+HYPERBOLA = KeplerOrbit(-2.0e7, 1.4, -1.0)
+
+
+def point_sensor(model: Any, anywhere: bool = False) -> SensorExample:
+    """All points ahead of the sensor, 5 to 40 m away; or in any direction."""
+
+    def draw(rng: np.random.Generator, regime: str) -> tuple[Array, ...]:
+        depth = rng.uniform(5, 40)
+        p_s = depth * np.array([*rng.uniform(-0.4, 0.4, 2), 1.0])
+        if anywhere:
+            p_s = depth * so3.exp(rng.normal(size=3)) @ np.array([0.0, 0.0, 1.0])
+        *attitudes, _ = (draw_block(b, rng, regime) for b in model.reads)
+        place_c = model.sensor_attitude @ p_s + model.sensor_position
+        return *attitudes, -attitudes[0] @ place_c
+
+    return SensorExample(
+        model,
+        draw,
+        step={"relative_position": 1.0, **{b.name: 0.1 for b in model.reads[:-1]}},
+        least_large=1.0 if anywhere else 0.0,
+    )
+
+
+def gyro_model(angle: Any, bias: Any, **options: Any) -> GyroBias:
+    return GyroBias(angle_random_walk_density=angle, bias_random_walk_density=bias, **options)
+
+
+def constant(*diagonal: float) -> Callable[..., Array]:
+    return lambda *x: np.diag(np.array(diagonal))
+
+
+def body_velocity(pose: Any, density: Any, attitude: Any) -> DynamicsExample:
+    companion = gyro_model(1e-4, 1e-7, attitude=attitude)
+    model = BodyVelocity(velocity_density=density, pose=pose)
+    return DynamicsExample(
+        model,
+        lambda r, R: R @ np.diag(model.velocity_density**2) @ R.T,
+        {"velocity": 3, "gyro": 3},
+        (companion,),
+    )
+
+
+def stereo(**options: Any) -> StereoPoint:
+    sigma = np.array([0.4, 0.5, 0.6, 0.7])
+    camera: dict[str, Any] = {"fu": 480.0, "fv": 500.0, "cu": 320.0, "cv": 240.0, "baseline": 0.24}
+    return StereoPoint(points=BEACONS, pixel_sigma=sigma, **camera, **options)
+
+
+def gyro(angle: Any, bias: Any, **options: Any) -> DynamicsExample:
+    model = gyro_model(angle, bias, **options)
+    squares = [*model.angle_random_walk_density**2, *model.bias_random_walk_density**2]
+    return DynamicsExample(model, constant(*squares), {"gyro": 3})
+
+
+def relative_motion(**options: Any) -> DynamicsExample:
+    model = EccentricRelativeMotion(acceleration_density=1e-6, **options)
+    return DynamicsExample(model, constant(0, 0, 0, 1e-12, 1e-12, 1e-12))
+
+
+def rotation(**options: Any) -> DynamicsExample:
+    model = EulerRotation(torque_density=1e-5, inertia_density=1e-4, **options)
+    return DynamicsExample(model, constant(0, 0, 0, 1e-10, 1e-10, 1e-10, 1e-8, 1e-8))
+
+
+def constant_velocity(**options: Any) -> DynamicsExample:
+    model = WhiteNoiseAcceleration(acceleration_density=1e-3, **options)
+    return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6))
+
+
+EXAMPLES: Mapping[str, tuple[Example, ...]] = {
+    "beacon_los": (
+        point_sensor(BeaconLineOfSight(points=BEACONS, sigma=1e-3), anywhere=True),
+        point_sensor(BeaconLineOfSight(points=BEACONS, sigma=1e-5, **MOUNTED), anywhere=True),
+        point_sensor(
+            BeaconLineOfSight(points=BEACONS, sigma=1e-3, pose="target", **MOUNTED), anywhere=True
+        ),
+    ),
+    "stereo_point": (
+        point_sensor(stereo()),
+        point_sensor(stereo(**MOUNTED)),
+        point_sensor(stereo(pose="target", **MOUNTED)),
+    ),
+    "stereo_point_cartesian": (
+        point_sensor(
+            StereoPointCartesian(points=BEACONS, sigma=np.array([0.01, 0.02, 0.05]), **MOUNTED)
+        ),
+        point_sensor(
+            StereoPointCartesian(points=BEACONS, sigma=np.full(3, 0.01), pose="target", **MOUNTED)
+        ),
+    ),
+    "body_velocity": (
+        body_velocity("orbital", [0.1, 0.2, 0.05], "chaser_attitude"),
+        body_velocity("target", 0.1, "relative_attitude"),
+    ),
+    "eccentric_relative_motion": (
+        relative_motion(orbit=LOW),
+        relative_motion(orbit=LOW, gravity="linear"),
+        relative_motion(orbit=HYPERBOLA, max_step=2.5),
+    ),
+    "euler_rotation": (
+        rotation(orbit=LOW),
+        rotation(max_step=0.5),
+    ),
+    "gyro_bias": (
+        gyro(1e-4, 1e-6, orbit=LOW),
+        gyro([1e-4, 3e-4, 2e-4], [1e-4, 2e-4, 3e-4]),
+        gyro(1e-4, 1e-4, attitude="relative_attitude"),
+    ),
+    "white_noise_acceleration": (
+        constant_velocity(),
+        constant_velocity(pose="target"),
+    ),
+    "inertia_ratios": (DerivedExample(InertiaRatios()),),
+    "position_in_target": (DerivedExample(PositionInTarget()),),
+    "relative_attitude": (DerivedExample(RelativeAttitude()),),
+}

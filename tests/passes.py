@@ -1,0 +1,81 @@
+"""Passes that several test files use."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from toy_model import DriftingRange, PositionFix, ThermalDrift
+
+from factors.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_graph.models import Measurement
+from relnav_graph.problem import Prior, Problem, make_epochs
+from relnav_graph.state import Layout
+from relnav_graph.track import Track, Truth
+
+Array = NDArray[np.float64]
+ESTIMATORS = ("ekf", "iekf", "rts", "batch", "isam2")
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+ZHANG = EXPERIMENTS / "zhang2015.toml"
+ONE_ID = np.zeros(1, dtype=np.int64)
+
+# --- position fixes and drifting ranges, 30 epochs one second apart ------------------------
+
+PROCESSES: dict[str, Any] = {
+    "motion": WhiteNoiseAcceleration(acceleration_density=0.002),
+    "electronics": ThermalDrift(time_constant=60.0, density=0.002),
+}
+FIX = PositionFix(covariance=0.01 * np.eye(3))
+RANGER = DriftingRange(points=2 * np.eye(3), sigma=0.005)
+SENSORS: dict[str, Any] = {"fix": FIX, "ranger": RANGER}
+PRIOR = Prior(
+    np.array([9.0, -6.0, 4.0, 0.0, 0.0, 0.0, 0.0]), np.diag([1.0] * 3 + [0.01] * 3 + [0.04])
+)
+
+
+def toy_measurements(count: int = 30) -> list[Measurement]:
+    """Of a steady motion and a constant drift."""
+    rng = np.random.default_rng(0)
+    out = []
+    for k in range(count):
+        r = np.array([9.3, -5.5, 4.1]) + 0.05 * k * np.array([1, -1, 0])
+        z = r + 0.1 * rng.normal(size=3)
+        out.append(Measurement("fix", float(k), z[None], ONE_ID))
+        ids = RANGER.observables()
+        ranges = RANGER.predict(ids, r, np.array([0.1])) + 0.005 * rng.normal(size=(3, 1))
+        out.append(Measurement("ranger", float(k), ranges, ids))
+    return out
+
+
+def toy_problem(measurements: list[Measurement], **changes: Any) -> Problem:
+    epochs = make_epochs(PROCESSES, measurements, {}, np.arange(30.0))
+    return replace(Problem(PROCESSES, SENSORS, PRIOR, epochs), **changes)
+
+
+# --- tracks against each other and against truth -------------------------------------------
+
+
+def rows_of(track: Track) -> list[Track]:
+    """A track, and the smoothed one that an online estimator ends with."""
+    return [track] if track.smoothed is None else [track, track.smoothed]
+
+
+def sigmas(P: Array) -> Array:
+    """Standard deviations (N, dim) of covariances (N, dim, dim)."""
+    return np.asarray(np.sqrt(np.einsum("kii->ki", P)))
+
+
+def stored(layout: Layout, truth: Truth) -> Array:
+    """Truth as stored vectors (N, size)."""
+    count = len(truth.t)
+    return np.array(
+        [layout.pack({b.name: truth.values[b.name][k] for b in layout}) for k in range(count)]
+    )
+
+
+def differences(layout: Layout, a: Array, b: Array) -> Array:
+    """Tangent vectors (N, dim) from the trajectory a to b (N, size)."""
+    return np.array([layout.local(p, q) for p, q in zip(a, b, strict=True)])

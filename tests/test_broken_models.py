@@ -1,0 +1,90 @@
+"""Models that break their contract: a named error, in a process of its own, no crash."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def verdicts() -> dict[tuple[str, str], str]:
+    """What became of each broken model, by way of reaching it and name."""
+    path = os.pathsep.join([str(TESTS), *filter(None, sys.path)])
+    hows = ["assembly_sensor", "assembly_process", "isam2_sensor", "isam2_process"]
+    done = subprocess.run(
+        [sys.executable, str(TESTS / "broken_models.py"), *hows],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, f"{done.returncode}\n{done.stdout}\n{done.stderr}"
+    lines = done.stdout.splitlines()
+    assert lines[-1] == "alive"
+    found = {}
+    for line in lines[:-1]:
+        how, name, verdict = line.split(" ", 2)
+        found[how, name] = verdict
+    return found
+
+
+@pytest.mark.parametrize("how", ["assembly", "isam2"])
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("unfilled", "unfilled or not finite"),
+        ("outside", "wrote past its arrays"),
+        ("outside_jacobian", "wrote past its arrays"),
+        ("before", "wrote past its arrays"),
+        ("fewer", "unfilled or not finite"),
+        ("not_finite", "unfilled or not finite"),
+        ("more_rows", "noise gives (1, 3, 3), expected (1, 4, 4)"),
+        ("fewer_rows", "noise gives (1, 3, 3), expected (1, 2, 2)"),
+        ("fewer_rows_noise", "wrote past its arrays"),
+    ],
+)
+def test_broken_sensor_is_a_named_error_and_no_crash(
+    verdicts: dict[tuple[str, str], str], how: str, name: str, says: str
+) -> None:
+    verdict = verdicts[f"{how}_sensor", name]
+    assert verdict.startswith("ModelError: "), verdict
+    assert says in verdict
+    assert "fix" in verdict
+
+
+@pytest.mark.parametrize("how", ["assembly", "isam2"])
+@pytest.mark.parametrize(
+    ("name", "kernel"),
+    [("nothing", "nothing"), ("arguments", "arguments"), ("not_compiled", "nothing")],
+)
+def test_kernel_of_another_form_is_a_named_error(
+    verdicts: dict[tuple[str, str], str], how: str, name: str, kernel: str
+) -> None:
+    """It returns nothing, takes other arguments, or was never compiled."""
+    verdict = verdicts[f"{how}_sensor", name]
+    assert verdict.startswith("ModelError: "), verdict
+    assert kernel in verdict
+
+
+@pytest.mark.parametrize("how", ["assembly", "isam2"])
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("process_unfilled", "unfilled or not finite"),
+        ("process_outside", "wrote past its arrays"),
+    ],
+)
+def test_broken_process_is_a_named_error_and_no_crash(
+    verdicts: dict[tuple[str, str], str], how: str, name: str, says: str
+) -> None:
+    verdict = verdicts[f"{how}_process", name]
+    assert verdict.startswith("ModelError: "), verdict
+    assert says in verdict
+    assert "toy_thermal_drift" in verdict

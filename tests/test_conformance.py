@@ -1,0 +1,356 @@
+"""Every registered model keeps its contract: Jacobians, noise, errors.
+
+The models are found through the registry, so that a new file cannot escape; what each
+needs beside itself stands in `examples`. The GTSAM factors made of them are tested in
+`test_conformance_graph`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from functools import cache
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+from examples import (
+    EXAMPLES,
+    REGIMES,
+    DerivedExample,
+    DynamicsExample,
+    SensorExample,
+    draw_block,
+    scale_of,
+)
+from numeric import assert_jacobian, blocks_of, differences, steps_for
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.models import ENTRY_POINTS, Derived, Dynamics, Measurement, Sensor
+from relnav_graph.problem import check_covariance
+from relnav_graph.registry import classes
+from relnav_graph.state import Block, Layout
+from relnav_graph.units import Quantity
+
+Array = NDArray[np.float64]
+
+MODELS = classes(ENTRY_POINTS)
+STATES = 34  # of each regime and model, so that each sees more than a hundred
+
+
+def named(*types: type) -> dict[str, Any]:
+    """Examples of some types by name, for parametrisation."""
+    return {
+        f"{kind}-{n}": example
+        for kind, examples in EXAMPLES.items()
+        for n, example in enumerate(examples)
+        if isinstance(example, types)
+    }
+
+
+SENSORS, DYNAMICS, DERIVED = (named(t) for t in (SensorExample, DynamicsExample, DerivedExample))
+ALL = named(SensorExample, DynamicsExample, DerivedExample)
+
+
+def states_of(name: str) -> int:
+    """How many states an example sees of each regime: the examples of a model share."""
+    return max(15, STATES // len(EXAMPLES[name.rpartition("-")[0]]) + 1)
+
+
+def seed_of(name: str, regime: str) -> np.random.Generator:
+    return np.random.default_rng([*name.encode(), *regime.encode()])
+
+
+def sizes(blocks: tuple[Block, ...], regime: str) -> Array:
+    """Size of each tangent component in a regime; 1 rad for attitudes."""
+    parts = [
+        np.full(b.dim, 1.0 if b.manifold == "SO3" else scale_of(b.name, regime)) for b in blocks
+    ]
+    return np.concatenate(parts)
+
+
+# What there is.
+
+
+def test_every_model_has_an_example() -> None:
+    missing = sorted(set(MODELS) - set(EXAMPLES))
+    assert not missing, (
+        f"no example of {missing}: add one to EXAMPLES in tests/examples.py, under the kind of"
+        " the model, as SensorExample, DynamicsExample or DerivedExample, and every test here"
+        " will run on it"
+    )
+    assert not set(EXAMPLES) - set(MODELS), "an example of a kind that no package registers"
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_model_is_a_documented_frozen_dataclass_of_its_contract(name: str) -> None:
+    model, cls = ALL[name].model, type(ALL[name].model)
+    assert MODELS[cls.kind] is cls
+    assert name.startswith(cls.kind)
+    contract = {SensorExample: Sensor, DynamicsExample: Dynamics, DerivedExample: Derived}
+    assert isinstance(model, contract[type(ALL[name])])
+    assert cls.__dataclass_params__.frozen, f"{cls.__name__} is not frozen"
+    for part in dataclasses.fields(cls):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(model, part.name, None)
+    doc = vars(cls).get("__doc__") or ""
+    assert re.search(r"[=/^]|\b(19|20)\d\d\b", doc), f"{cls.__name__}: no source and no equation"
+    for field in dataclasses.fields(cls):
+        docs = " ".join(base.__doc__ or "" for base in cls.__mro__[:-1])
+        assert field.name in docs, f"{cls.__name__}.{field.name} stands in no docstring"
+
+
+# Constructors.
+
+
+def options(cls: type) -> Iterator[tuple[str, Any]]:
+    """Fields and the types that they may have, without None."""
+    for key, hint in get_type_hints(cls, include_extras=True).items():
+        optional = get_origin(hint) is not Annotated and type(None) in get_args(hint)
+        yield key, get_args(hint)[0] if optional else hint
+
+
+def bad_values(quantity: Quantity, good: Any) -> Iterator[Any]:
+    spoilt = np.array(good, dtype=np.float64)
+    for bad in (np.nan, np.inf, *((0.0, -1.0) if quantity.positive else ())):
+        spoilt.flat[-1] = bad
+        yield float(spoilt) if quantity.shape == () else spoilt.copy()
+    if quantity.nonnegative:
+        yield -np.abs(good) - 1.0
+    yield np.ones((2, 7, 5))
+    yield np.ones(4 if quantity.shape == (3,) else 3) if len(quantity.shape) < 2 else np.ones(9)
+    yield "three"
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_constructor_refuses_bad_numbers_and_names_the_field(name: str) -> None:
+    model = ALL[name].model
+    for key, hint in options(type(model)):
+        for quantity in getattr(hint, "__metadata__", ()):
+            if isinstance(quantity, Quantity) and getattr(model, key) is not None:
+                for bad in bad_values(quantity, getattr(model, key)):
+                    with pytest.raises(InputError, match=rf"{type(model).__name__}\.{key}: found"):
+                        dataclasses.replace(model, **{key: bad})
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_constructor_refuses_unknown_choices_and_names_the_field(name: str) -> None:
+    model = ALL[name].model
+    for key, hint in options(type(model)):
+        if get_origin(hint) is Literal:
+            with pytest.raises(InputError, match=key):
+                dataclasses.replace(model, **{key: "no such choice"})
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_array_fields_are_copies_that_cannot_be_written(name: str) -> None:
+    model = ALL[name].model
+    for key, _ in options(type(model)):
+        value = getattr(model, key, None)
+        if isinstance(value, np.ndarray):
+            assert not value.flags.writeable, f"{type(model).__name__}.{key} can be overwritten"
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_sensor_refuses_a_mounting_that_is_no_rotation(name: str) -> None:
+    model = SENSORS[name].model
+    if hasattr(model, "sensor_attitude"):
+        for bad in (2 * np.eye(3), np.diag([1.0, 1.0, -1.0])):
+            with pytest.raises(InputError, match=rf"{model.kind}\.sensor_attitude: not a rotation"):
+                dataclasses.replace(model, sensor_attitude=bad)
+
+
+# Sensors.
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """A measurement taken at x_true, looked at from x."""
+
+    m: Measurement
+    x_true: Array
+    x: Array
+
+
+def looks(name: str, regime: str) -> list[Look]:
+    """Seeded measurements and states; the same for every test."""
+    return _looks(name, regime)
+
+
+@cache
+def _looks(name: str, regime: str) -> list[Look]:
+    example, rng = SENSORS[name], seed_of(name, regime)
+    model, layout = example.model, Layout(example.model.reads)
+    known, found = model.observables(), list[Look]()
+    while len(found) < states_of(name):
+        ids = rng.choice(known, size=min(3, len(known)), replace=False)
+        values = example.draw(rng, regime)
+        x_true = layout.pack(dict(zip([b.name for b in layout], values, strict=True)))
+        clean = Measurement("s", 1.0, model.predict(ids, *values), ids)
+        R = model.noise(clean)
+        e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.normal(size=R.shape[:2]))
+        m = Measurement("s", 1.0, model.perturb(clean.z, e), ids)
+        if regime == "large":
+            other = dict(zip([b.name for b in layout], example.draw(rng, regime), strict=True))
+            x = layout.pack(other)
+        else:
+            share = 1e-5 if regime == "near" else 1.0
+            step = [np.full(b.dim, share * example.step.get(b.name, 0.1)) for b in layout]
+            x = layout.retract(x_true, np.concatenate(step) * rng.normal(size=layout.dim))
+        try:
+            r, _ = model.residual(m, *layout.values(x).values())
+        except GeometryError:
+            continue
+        r = r.reshape(len(ids), -1)
+        sigmas = np.sqrt(np.einsum("ki,kij,kj->k", r, np.linalg.inv(R), r))
+        far = sigmas.min() > 10 and np.linalg.norm(r, axis=1).min() > example.least_large
+        if regime != "large" or far:
+            found.append(Look(m, x_true, x))
+    return found
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+@pytest.mark.parametrize("name", SENSORS)
+def test_sensor_jacobians_agree_with_central_differences(name: str, regime: str) -> None:
+    """At residuals that are anything but zero, too."""
+    model = SENSORS[name].model
+    layout = Layout(model.reads)
+    inputs = sizes(model.reads, "moderate")
+    for look in looks(name, regime):
+        values = layout.values(look.x).values()
+        r, parts = model.residual(look.m, *values)
+        assert r.shape == (len(look.m.ids) * model.rows,)
+        assert [p.shape for p in parts] == [(len(r), b.dim) for b in layout]
+        H, scale = np.hstack(parts), np.sqrt(np.diagonal(model.noise(look.m), 0, 1, 2)).ravel()
+
+        def f(d: Array, m: Measurement = look.m, x: Array = look.x) -> Array:
+            out: Array = model.residual(m, *layout.values(layout.retract(x, d)).values())[0]
+            return out
+
+        outputs = np.abs(H * inputs).max(axis=1)  # no step moves a row by more than 1e-3 of it
+        numeric = differences(f, steps_for(H, inputs, outputs))
+        assert_jacobian(
+            numeric / scale[:, None], H / scale[:, None], [slice(None)], blocks_of(layout), inputs
+        )
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_sensor_shapes_and_noise(name: str) -> None:
+    model = SENSORS[name].model
+    assert len(set(model.columns)) == len(model.columns)
+    for look in looks(name, "moderate"):
+        values = Layout(model.reads).values(look.x_true).values()
+        z = model.predict(look.m.ids, *values)
+        k = len(look.m.ids)
+        assert z.shape == look.m.z.shape == (k, len(model.columns))
+        assert model.noise(look.m).shape == (k, model.rows, model.rows)
+        for R in model.noise(look.m):
+            check_covariance(name, R)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_sensor_has_no_residual_against_its_own_prediction(name: str) -> None:
+    model = SENSORS[name].model
+    for look in looks(name, "large"):
+        values = Layout(model.reads).values(look.x).values()
+        m = Measurement("s", 1.0, model.predict(look.m.ids, *values), look.m.ids)
+        r = model.residual(m, *values)[0]
+        # 1e-12 of the sizes that are subtracted from each other
+        assert np.abs(r).max() <= 1e-12 * max(1.0, np.abs(m.z).max())
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_sampled_residuals_have_the_noise_that_the_sensor_declares(name: str) -> None:
+    model, rng = SENSORS[name].model, seed_of(name, "noise")
+    whitened = []
+    for look in looks(name, "moderate"):
+        values = Layout(model.reads).values(look.x_true).values()
+        ids = np.resize(look.m.ids, 30)
+        clean = Measurement("s", 1.0, model.predict(ids, *values), ids)
+        L = np.linalg.cholesky(model.noise(clean))
+        e = np.einsum("kij,kj->ki", L, rng.normal(size=(30, model.rows)))
+        r = model.residual(Measurement("s", 1.0, model.perturb(clean.z, e), ids), *values)[0]
+        whitened.append(np.linalg.solve(L, r.reshape(30, model.rows, 1))[..., 0])
+    w = np.concatenate(whitened)
+    low, high = chdtri(w.size, 1 - 1e-4), chdtri(w.size, 1e-4)
+    assert low < (w**2).sum() < high
+    assert np.abs(w.mean(axis=0)).max() < 5 / np.sqrt(len(w))
+    assert np.abs(w.T @ w / len(w) - np.eye(model.rows)).max() < 6 / np.sqrt(len(w))
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_perturbing_a_measurement_moves_the_residual_the_other_way(name: str) -> None:
+    """r = -e for small e. Where the axes of a row depend on the measured value, they may
+    turn between e and r, but no more than now and then, and the length stays."""
+    model, rng, turned, count = SENSORS[name].model, seed_of(name, "e"), 0, 0
+    for look in looks(name, "moderate"):
+        values = Layout(model.reads).values(look.x_true).values()
+        z = model.predict(look.m.ids, *values)
+        e = 1e-2 * np.einsum(
+            "kij,kj->ki",
+            np.linalg.cholesky(model.noise(look.m)),
+            rng.normal(size=(len(z), model.rows)),
+        )
+        m = Measurement("s", 1.0, model.perturb(z, e), look.m.ids)
+        r = model.residual(m, *values)[0].reshape(e.shape)
+        length = np.linalg.norm(e, axis=1)
+        floor = 1e-13 * max(1.0, np.abs(z).max())
+        assert (np.abs(np.linalg.norm(r, axis=1) - length) <= 1e-6 * length + floor).all()
+        turned += int((np.linalg.norm(r + e, axis=1) > 1e-3 * length + floor).sum())
+        count += len(z)
+    assert turned <= 0.02 * count
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_sensor_refuses_unknown_ids_and_wrong_values(name: str) -> None:
+    model, look = SENSORS[name].model, looks(name, "moderate")[0]
+    values = list(Layout(model.reads).values(look.x).values())
+    names = re.escape(str([b.name for b in model.reads]))
+    with pytest.raises(
+        InputError,
+        match=f"^{model.kind}: found {len(values) - 1} values, expected one for each of {names}$",
+    ):
+        model.residual(look.m, *values[:-1])
+    with pytest.raises(InputError, match=f"^{model.reads[0].name}: found"):
+        model.residual(look.m, np.full(5, 0.1), *values[1:])
+    with pytest.raises(InputError, match=f"^{model.reads[-1].name}: found"):
+        model.residual(look.m, *values[:-1], np.full_like(values[-1], np.nan))
+    if len(model.observation_data(look.m.ids)[0]):
+        unknown = dataclasses.replace(look.m, ids=np.full(len(look.m.ids), 10**6))
+        with pytest.raises(InputError, match=f"{model.kind}: found id 1000000"):
+            model.residual(unknown, *values)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_sensor_refuses_rows_of_another_width(name: str) -> None:
+    model, look = SENSORS[name].model, looks(name, "moderate")[0]
+    values = Layout(model.reads).values(look.x).values()
+    for z in (look.m.z[:, :-1], np.hstack([look.m.z, look.m.z])):
+        with pytest.raises(InputError, match=model.kind):
+            model.residual(dataclasses.replace(look.m, z=z), *values)
+
+
+# Derived quantities.
+
+
+@pytest.mark.parametrize("name", DERIVED)
+def test_derived_jacobian_agrees_with_central_differences(name: str) -> None:
+    model, layout = DERIVED[name].model, Layout(DERIVED[name].model.reads)
+    for regime in REGIMES:
+        rng, inputs = seed_of(name, regime), sizes(model.reads, regime)
+        for _ in range(STATES):
+            x = layout.pack({b.name: draw_block(b, rng, regime) for b in layout})
+            value, J = model.value(*layout.values(x).values())
+            model.block.pack(value)
+            assert J.shape == (model.block.dim, layout.dim)
+
+            def f(d: Array, x: Array = x, value: Array = value) -> Array:
+                moved = model.value(*layout.values(layout.retract(x, d)).values())[0]
+                return np.asarray(model.block.local(value, moved))
+
+            outputs = np.full(model.block.dim, np.abs(J * inputs).max())
+            numeric = differences(f, steps_for(J, inputs, outputs))
+            assert_jacobian(numeric, J, [slice(None)], blocks_of(layout), inputs)

@@ -1,0 +1,100 @@
+"""Every experiment runs; the published ones reach the accuracy that they are there for."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from passes import EXPERIMENTS, ZHANG
+
+from relnav_graph.cli import main
+from relnav_graph.io.readers import read_raw
+from relnav_graph.scenario import load_scenario, read_toml
+from relnav_graph.units import parse_quantity
+
+SCENARIOS = sorted(EXPERIMENTS.glob("*.toml"))
+SIMULATED = [path for path in SCENARIOS if "truth" in read_toml(path)]
+
+
+def _compare(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
+    """The estimators of a comparison that ends well."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stopped:
+        main(["compare", *map(str, arguments), "--json"])
+    out, err = capsys.readouterr()
+    assert stopped.value.code == 0, err
+    return json.loads(out)["estimators"]
+
+
+def test_there_are_simulated_and_recorded_ones() -> None:
+    assert ZHANG in SIMULATED
+    assert len(SCENARIOS) > len(SIMULATED)
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda p: p.stem)
+def test_every_experiment_is_valid(path: Path) -> None:
+    scenario = load_scenario(path)
+    assert scenario.file.title
+    assert scenario.file.description.strip()
+    assert scenario.sensors or scenario.file.data is not None
+
+
+@pytest.mark.parametrize("path", SIMULATED, ids=lambda p: p.stem)
+def test_every_simulated_experiment_runs(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = _compare(capsys, path, "--set", "time.epochs=12")
+    assert {"ekf", "iekf", "rts", "batch", "isam2", "isam2_smoothed"} <= set(rows)
+    assert all(row["status"] == "ok" for row in rows.values())
+
+
+def test_zhang2015_at_full_size(capsys: pytest.CaptureFixture[str]) -> None:
+    """A tumbling target of unknown rate and inertia: smoothing halves the position error
+    of the best filter, and rate and inertia are found."""
+    rows = _compare(capsys, ZHANG)
+    states = {name: row["states"] for name, row in rows.items()}
+    batch, iekf = states["batch"], states["iekf"]
+    assert {
+        "relative_position",
+        "relative_velocity",
+        "relative_attitude",
+        "target_attitude",
+        "chaser_attitude",
+        "target_rate",
+        "inertia_ratios",
+        "gyro_bias",
+    } <= set(batch)
+    assert batch["relative_position"]["rmse"] <= 0.5 * iekf["relative_position"]["rmse"]
+    assert batch["relative_attitude"]["rmse"] <= 0.65 * iekf["relative_attitude"]["rmse"]
+    assert 0.5 <= rows["batch"]["anees"] <= 2
+    for name in ("iekf", "batch", "isam2", "isam2_smoothed"):
+        # The truth is 2.5 deg/s and ratios of -0.5 to 0.5; nothing was known of either.
+        assert states[name]["target_rate"]["rmse_last"] < 0.002
+        assert states[name]["inertia_ratios"]["rmse_last"] < 0.002
+    for name in batch:
+        assert states["isam2_smoothed"][name]["rmse"] == pytest.approx(
+            batch[name]["rmse"], rel=0.02
+        )
+
+
+def test_starry_night_from_frame_131_on(capsys: pytest.CaptureFixture[str]) -> None:
+    """Real data. The scenario's `evaluate` leaves out the first frames, in which no frame
+    shows three points."""
+    root = os.environ.get("RELNAV_DATA")
+    if root is None:
+        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
+    path = EXPERIMENTS / "starry_night.toml"
+    folder = Path(root) / "starry_night"
+    times = read_raw("starry_night", folder).times
+    evaluate = load_scenario(path).file.evaluate
+    assert evaluate is not None
+    start, end = (parse_quantity(b, "s") if isinstance(b, str) else b * times[-1] for b in evaluate)
+    assert times[128] < start <= times[130]
+    assert end >= times[-1]
+    rows = _compare(capsys, path, "--data", folder, "-e", "ekf", "-e", "batch")
+    batch, ekf = rows["batch"]["states"], rows["ekf"]["states"]
+    assert batch["relative_position"]["rmse"] <= 0.0195
+    assert batch["relative_attitude"]["rmse"] <= 1.95
+    for name in ("relative_position", "relative_attitude"):
+        assert batch[name]["rmse"] < ekf[name]["rmse"]

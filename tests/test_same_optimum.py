@@ -1,0 +1,202 @@
+"""The same models in somebody else's graph: GTSAM's own variables, one per block and epoch,
+with our factors between them, solved by GTSAM's own optimisers. Both ways give the same
+numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from passes import ZHANG, differences, sigmas
+
+from relnav_graph import graph
+from relnav_graph.assembly import Assembly
+from relnav_graph.estimators import run_estimator
+from relnav_graph.estimators.batch import Solution, solve
+from relnav_graph.estimators.ekf import filter_pass
+from relnav_graph.estimators.rts import smooth
+from relnav_graph.problem import Problem
+from relnav_graph.scenario import load_scenario
+from relnav_graph.state import Block
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Nonlinear:
+    """A short pass, the batch smoother's result, and the trajectory that it began with."""
+
+    problem: Problem
+    start: Array
+    solution: Solution
+    filtered: Array
+
+    def key(self, k: int, block: Block) -> int:
+        letters = "abcdefg"
+        return gtsam.symbol(letters[self.problem.layout.blocks.index(block)], k)
+
+    def values(self, x: Array) -> gtsam.Values:
+        values = gtsam.Values()
+        for k in range(len(x)):
+            self.insert(values, k, x[k])
+        return values
+
+    def insert(self, values: gtsam.Values, k: int, x: Array) -> None:
+        for block in self.problem.layout:
+            value = self.problem.layout.value(x, block.name)
+            graph.insert_block(values, self.key(k, block), block, value)
+
+    def trajectory(self, values: gtsam.Values) -> Array:
+        layout = self.problem.layout
+        return np.array(
+            [
+                layout.pack({b.name: graph.read_block(values, self.key(k, b), b) for b in layout})
+                for k in range(len(self.start))
+            ]
+        )
+
+    def factors(self, k: int) -> gtsam.NonlinearFactorGraph:
+        """Of epoch k and the intervals that lead to it; the prior of epoch 0."""
+        p, out = self.problem, gtsam.NonlinearFactorGraph()
+        epoch = p.epochs[k]
+        if k == 0:
+            x = p.prior.x
+            for block in p.layout:
+                rows, key = p.layout.tangent(block.name), self.key(0, block)
+                model = gtsam.noiseModel.Gaussian.Covariance(p.prior.P[rows, rows])
+                value = p.layout.value(x, block.name)
+                if block.manifold == "SO3":
+                    out.add(gtsam.PriorFactorRot3(key, gtsam.Rot3(value), model))
+                else:
+                    out.add(gtsam.PriorFactorVector(key, value, model))
+        else:
+            for name, process in p.processes.items():
+                blocks = process.advances + process.reads
+                out.add(
+                    graph.process_factor(
+                        process,
+                        p.epochs[k - 1].t,
+                        epoch.inputs[name],
+                        [self.key(k - 1, b) for b in blocks],
+                        [self.key(k, b) for b in process.advances],
+                        [p.layout.value(self.start[k - 1], b.name) for b in blocks],
+                    )
+                )
+        for m in epoch.measurements:
+            sensor = p.sensors[m.sensor]
+            out.add(graph.measurement_factor(sensor, m, [self.key(k, b) for b in sensor.reads]))
+        return out
+
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        out = gtsam.NonlinearFactorGraph()
+        for k in range(len(self.start)):
+            out.push_back(self.factors(k))
+        return out
+
+    def distance(self, x: Array) -> float:
+        """Largest component of x minus the batch solution, in posterior sigmas."""
+        d = differences(self.problem.layout, self.solution.x, x)
+        return float(np.abs(d / sigmas(self.solution.conditionals.covariances())).max())
+
+    def displaced(self, many: float) -> Array:
+        """A trajectory some sigmas away from the solution, everywhere."""
+        P = self.solution.conditionals.covariances()
+        d = np.random.default_rng(5).choice([-1.0, 1.0], P.shape[:2])
+        d *= many * sigmas(P)
+        layout = self.problem.layout
+        return np.array([layout.retract(a, b) for a, b in zip(self.solution.x, d, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def nonlinear() -> Nonlinear:
+    scenario = load_scenario(ZHANG, ["time.epochs=40"])
+    problem = scenario.problem(scenario.simulate(1), 1)
+    steps, _, stopped = filter_pass(problem, 20)
+    assert not stopped
+    start = smooth(problem.layout, steps)[0]
+    assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
+    weights = np.ones(assembly.observations)
+    solution = solve(assembly, problem.prior, start, weights, tolerance=1e-6)
+    return Nonlinear(problem, start, solution, np.array([s.x for s in steps]))
+
+
+def test_batch_gives_that_solution(nonlinear: Nonlinear) -> None:
+    batch = run_estimator("batch", nonlinear.problem)
+    assert batch.status == "ok", batch.message
+    assert nonlinear.distance(batch.x) < 1e-3
+
+
+def test_custom_factors_have_the_same_cost(nonlinear: Nonlinear) -> None:
+    built = nonlinear.graph()
+    at_best = built.error(nonlinear.values(nonlinear.solution.x))
+    assert at_best == pytest.approx(nonlinear.solution.chain.cost, rel=1e-9)
+    # Not only there: the prior and both ends of each interval count.
+    assert built.error(nonlinear.values(nonlinear.displaced(0.5))) > at_best + 1
+
+
+def _gauss_newton(built: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    ordering = gtsam.Ordering()
+    for key in sorted(values.keys(), key=gtsam.symbolIndex):  # in order of time
+        ordering.push_back(key)
+    linear = built.linearize(values)
+    return values.retract(linear.eliminateSequential(ordering, gtsam.EliminateQR).optimize())
+
+
+def _levenberg_marquardt(built: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    params = gtsam.LevenbergMarquardtParams()
+    params.setLinearSolverType("MULTIFRONTAL_QR")
+    params.setRelativeErrorTol(0.0)
+    params.setAbsoluteErrorTol(1e-12)
+    return gtsam.LevenbergMarquardtOptimizer(built, values, params).optimize()
+
+
+Step = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
+
+
+@pytest.mark.parametrize("method", [_gauss_newton, _levenberg_marquardt])
+def test_batch_solution_is_where_gtsam_stays(nonlinear: Nonlinear, method: Step) -> None:
+    """A stationary point of the cost that GTSAM builds from the custom factors."""
+    after = method(nonlinear.graph(), nonlinear.values(nonlinear.solution.x))
+    assert nonlinear.distance(nonlinear.trajectory(after)) < 1e-3
+
+
+def test_gtsam_comes_to_the_batch_solution_from_elsewhere(nonlinear: Nonlinear) -> None:
+    start = nonlinear.displaced(0.5)
+    assert nonlinear.distance(start) > 0.4
+    built, values = nonlinear.graph(), nonlinear.values(start)
+    for _ in range(8):
+        values = _gauss_newton(built, values)
+    assert nonlinear.distance(nonlinear.trajectory(values)) < 1e-3
+
+
+def test_isam2_over_custom_factors_reaches_the_same_optimum(nonlinear: Nonlinear) -> None:
+    """Typed keys, QR, epoch by epoch from the filter's estimates, then relinearised."""
+    params = gtsam.ISAM2Params()
+    params.setFactorization("QR")
+    params.enableRelinearization = True
+    params.relinearizeSkip = 10
+    params.setRelinearizeThreshold(1e-9)
+    params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
+    isam = gtsam.ISAM2(params)
+    held = isam.getLinearizationPoint()  # or GTSAM copies all values for each callback
+    for k in range(len(nonlinear.start)):
+        new = gtsam.Values()
+        nonlinear.insert(new, k, nonlinear.filtered[k])
+        isam.update(nonlinear.factors(k), new)
+    assert held is isam.getLinearizationPoint()
+    nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for _ in range(8):
+        isam.update(*nothing, force_relinearize=True)
+    assert nonlinear.distance(nonlinear.trajectory(isam.calculateBestEstimate())) < 1e-3
+    # So does the covariance of the newest state.
+    layout, best = nonlinear.problem.layout, nonlinear.solution.conditionals.covariances()[-1]
+    last = len(nonlinear.start) - 1
+    for block in layout:
+        rows = layout.tangent(block.name)
+        P = isam.marginalCovariance(nonlinear.key(last, block))
+        scale = np.sqrt(np.outer(np.diag(best[rows, rows]), np.diag(best[rows, rows])))
+        np.testing.assert_allclose(P / scale, best[rows, rows] / scale, atol=1e-3)
