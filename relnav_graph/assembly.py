@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.loops import BROKEN, interval_rows, measure, transition
-from relnav_graph.models import Dynamics, Sensor, check_inputs
-from relnav_graph.problem import Epoch
+from relnav_graph.models import Dynamics, Sensor
+from relnav_graph.problem import Epoch, check_epoch
 from relnav_graph.state import Layout
 
 __all__ = ["Assembly", "MeasurementRows", "ProcessRows"]
@@ -120,6 +120,7 @@ class Assembly:
     """Epochs, with the intervals that lead to them, as arrays.
 
     t_before: start of an interval that leads to the first epoch, None when it has none.
+    Raises InputError or ModelError on an epoch or a model that is not in order.
     """
 
     def __init__(
@@ -130,6 +131,10 @@ class Assembly:
         epochs: Sequence[Epoch],
         t_before: float | None = None,
     ) -> None:
+        # The compiled loops trust every size: nothing unchecked may reach them.
+        before = [t_before, *(e.t for e in epochs[:-1])]
+        for t, epoch in zip(before, epochs, strict=True):
+            check_epoch(processes, sensors, epoch, t)
         self.layout = layout
         self.times = np.array([e.t for e in epochs])
         self._sensors, self.row_offsets = self._stack_sensors(sensors, epochs)
@@ -199,11 +204,7 @@ class Assembly:
     def _stack_process(
         self, name: str, process: Dynamics, epochs: Sequence[Epoch]
     ) -> _ProcessArrays:
-        parts = []
-        for epoch in epochs:
-            if name not in epoch.inputs:
-                raise InputError(f"process {name!r}: the epoch at {epoch.t} s has no inputs for it")
-            parts.append(check_inputs(process.kind, process.channels, epoch.inputs[name]))
+        parts = [np.ascontiguousarray(e.inputs[name], dtype=np.float64) for e in epochs]
         offset = np.concatenate(([0], np.cumsum([len(u) for u in parts]))).astype(np.int64)
         gather, columns = self.layout.gather(process.advances + process.reads)
         scatter, rows = self.layout.gather(process.advances)

@@ -53,12 +53,13 @@ def interval_factor(key: int, A: Array, B: Array, error: Array) -> gtsam.Jacobia
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The linear system of a pass at one trajectory."""
+    """The linear system of a pass at one trajectory; weights: of its observations."""
 
     prior: PriorRows
     process: ProcessRows
     measurements: MeasurementRows
     row_offsets: NDArray[np.int64]
+    weights: Array
 
     @property
     def cost(self) -> float:
@@ -186,4 +187,5 @@ def linearize(assembly: Assembly, prior: Prior, x: Array, whiten: Array, weight:
         assembly.process(x, whiten),
         assembly.measure(x, weight),
         assembly.row_offsets,
+        weight,
     )

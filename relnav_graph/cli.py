@@ -30,7 +30,9 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"relnav_graph.commands.{cmd_name}")
+        # A module named list would hide the builtin from its own package.
+        name = "listing" if cmd_name == "list" else cmd_name
+        module = importlib.import_module(f"relnav_graph.commands.{name}")
         command: click.Command = module.command
         return command
 

@@ -24,8 +24,11 @@ from typing import Any, TypeVar
 import numba
 from numba import types
 from numba.core import cgutils
+from numba.core.errors import NumbaError
 from numba.experimental.function_type import _get_jit_address
 from numba.extending import intrinsic
+
+from relnav_graph.errors import ModelError
 
 __all__ = [
     "DYNAMICS_KERNEL",
@@ -47,6 +50,10 @@ VECTOR = types.Array(types.float64, 1, "C")
 MATRIX = types.Array(types.float64, 2, "C")
 STACK = types.Array(types.float64, 3, "C")
 INDICES = types.Array(types.int64, 1, "C")
+
+#: Numbers before and after each array that a kernel fills, and their value: a kernel that
+#: writes past its arrays is found out, before it can spoil anybody else's memory.
+GUARD, MARK = 64, 1.2345678901234567e300
 
 #: ``status = kernel(p, q, z, x, r, H)``: one observation (one beacon, one point, one fix).
 #: p constants of the sensor, q data of this observation, z measured value, x stored values
@@ -110,12 +117,19 @@ def _announce(folder: Path) -> None:
 
 def announce(kernel: Any) -> None:
     """Say, once, when a kernel will be compiled for the first time: that takes a while."""
-    _announce(cache_folder(kernel.py_func.__code__.co_filename))
+    if hasattr(kernel, "py_func"):
+        _announce(cache_folder(kernel.py_func.__code__.co_filename))
 
 
 @cache
 def _address(kernel: Any, signature: Any) -> int:
-    return _get_jit_address(kernel, signature)  # type: ignore[no-any-return]
+    name = getattr(kernel, "__name__", kernel)
+    if not hasattr(kernel, "py_func"):
+        raise ModelError(f"kernel {name}: not compiled; decorate it with relnav_graph's jit")
+    try:
+        return _get_jit_address(kernel, signature)  # type: ignore[no-any-return]
+    except (NumbaError, TypeError) as error:
+        raise ModelError(f"kernel {name}: does not compile as {signature}: {error}") from error
 
 
 def sensor_address(kernel: Any) -> int:

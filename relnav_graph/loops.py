@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import (
+    GUARD,
     INDICES,
+    MARK,
     MATRIX,
     STACK,
     VECTOR,
@@ -34,20 +36,17 @@ BROKEN = {
     UNFILLED: "left an entry unfilled or not finite",
     OUTSIDE: "wrote past its arrays",
 }
-_GUARD = 64  # numbers before and after each array that a kernel fills
-_MARK = 1.2345678901234567e300
 
 
 @jit
 def _guarded(n: int) -> Array:
-    """A buffer for n numbers with guards on both sides: a kernel that writes past its
-    arrays is found out, before it can spoil anybody else's memory."""
-    return np.full(n + 2 * _GUARD, _MARK)
+    """A buffer for n numbers with guards on both sides."""
+    return np.full(n + 2 * GUARD, MARK)
 
 
 @jit
 def _reset(buffer: Array) -> None:
-    for i in range(_GUARD, buffer.shape[0] - _GUARD):
+    for i in range(GUARD, buffer.shape[0] - GUARD):
         buffer[i] = np.nan
 
 
@@ -55,10 +54,10 @@ def _reset(buffer: Array) -> None:
 def _verdict(buffer: Array) -> int:
     """0, or what a kernel did wrong with a guarded buffer."""
     n = buffer.shape[0]
-    for i in range(_GUARD):
-        if buffer[i] != _MARK or buffer[n - 1 - i] != _MARK:
+    for i in range(GUARD):
+        if buffer[i] != MARK or buffer[n - 1 - i] != MARK:
             return OUTSIDE
-    for i in range(_GUARD, n - _GUARD):
+    for i in range(GUARD, n - GUARD):
         if not np.isfinite(buffer[i]):
             return UNFILLED
     return 0
@@ -100,8 +99,8 @@ def measure(
     kernel = sensor_at(address)
     rows, n = whiten.shape[1], columns.shape[0]
     r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
-    r_one = r_buffer[_GUARD : _GUARD + rows]
-    h_one = h_buffer[_GUARD : _GUARD + rows * n].reshape(rows, n)
+    r_one = r_buffer[GUARD : GUARD + rows]
+    h_one = h_buffer[GUARD : GUARD + rows * n].reshape(rows, n)
     for i in range(z.shape[0]):
         start = row[i]
         status[i] = 0
@@ -149,9 +148,9 @@ def transition(
     kernel = dynamics_at(address)
     m, n, size = rows.shape[0], columns.shape[0], scatter.shape[0]
     x_buffer, f_buffer, q_buffer = _guarded(size), _guarded(m * n), _guarded(m * m)
-    x_one = x_buffer[_GUARD : _GUARD + size]
-    f_one = f_buffer[_GUARD : _GUARD + m * n].reshape(m, n)
-    q_one = q_buffer[_GUARD : _GUARD + m * m].reshape(m, m)
+    x_one = x_buffer[GUARD : GUARD + size]
+    f_one = f_buffer[GUARD : GUARD + m * n].reshape(m, n)
+    q_one = q_buffer[GUARD : GUARD + m * m].reshape(m, m)
     for k in range(t.shape[0]):
         _reset(x_buffer)
         _reset(f_buffer)

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph.compiled import GUARD, MARK
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.registry import classes
 from relnav_graph.state import Block, Layout
@@ -55,11 +56,14 @@ class Measurement:
         z = np.array(self.z)
         if z.dtype.kind not in "fiu" or z.ndim != 2 or np.ma.isMaskedArray(self.z):
             raise InputError(f"{where}: z is {z.dtype} {z.shape}, expected real numbers (k, nz)")
-        ids = np.array(self.ids, dtype=np.int64)
+        ids = np.array(self.ids)
+        if ids.dtype.kind not in "iu":
+            raise InputError(f"{where}: found ids {ids}, expected whole numbers")
+        ids = ids.astype(np.int64)
         if ids.shape != (len(z),):
             raise InputError(f"{where}: {len(z)} rows of z, but ids of shape {ids.shape}")
-        if not np.isfinite(self.t):
-            raise InputError(f"{where}: the time is not finite")
+        if not np.isfinite([self.t, self.t if self.t_arrival is None else self.t_arrival]).all():
+            raise InputError(f"{where}: the time is not finite (arrival: {self.t_arrival})")
         if not np.isfinite(z).all():
             bad = int(ids[np.nonzero(~np.isfinite(z).all(axis=1))[0][0]])
             raise InputError(f"{where}: z of id {bad} is not finite: {z[ids == bad][0]}")
@@ -183,11 +187,28 @@ def check_inputs(kind: str, channels: int, u: Any) -> Array:
     return array
 
 
-def _check_filled(kind: str, **arrays: Array) -> None:
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            raise ModelError(f"{kind}: the kernel left {name}{list(at)} unfilled or not finite")
+class _Outputs:
+    """Guarded arrays for a kernel called from Python, and the check of what it did."""
+
+    def __init__(self, kind: str, **shapes: tuple[int, ...]) -> None:
+        self.kind, self.shapes = kind, shapes
+        sizes = {name: int(np.prod(shape)) for name, shape in shapes.items()}
+        self._buffers = {name: np.full(n + 2 * GUARD, MARK) for name, n in sizes.items()}
+        self.arrays = [
+            self._buffers[name][GUARD:-GUARD].reshape(shape) for name, shape in shapes.items()
+        ]
+        for array in self.arrays:
+            array[...] = np.nan
+
+    def check(self) -> None:
+        """Raise ModelError when the kernel left an entry unfilled or wrote past an array."""
+        for name, array in zip(self.shapes, self.arrays, strict=True):
+            buffer = self._buffers[name]
+            if (buffer[:GUARD] != MARK).any() or (buffer[-GUARD:] != MARK).any():
+                raise ModelError(f"{self.kind}: the kernel wrote past its arrays, at {name}")
+            if not np.isfinite(array).all():
+                at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+                raise ModelError(f"{self.kind}: the kernel left {name}{list(at)} unfilled")
 
 
 class SensorModel:
@@ -239,15 +260,16 @@ class SensorModel:
         dims = [b.dim for b in self.reads]
         p, q = self.constants(), self.observation_data(m.ids)
         z = self.accept(m.z)
-        r = np.full((len(z), self.rows), np.nan)
-        jacobian = np.full((len(z), self.rows, sum(dims)), np.nan)
+        r, jacobian = np.empty((len(z), self.rows)), np.empty((len(z), self.rows, sum(dims)))
         for k in range(len(z)):
-            status = self.kernel(p, q[k], z[k], packed, r[k], jacobian[k])
+            outputs = _Outputs(self.kind, r=r[k].shape, H=jacobian[k].shape)
+            status = self.kernel(p, q[k], z[k], packed, *outputs.arrays)
             if status:
                 raise GeometryError(
                     f"{self.kind}: id {m.ids[k]} at t = {m.t} s: {self.failure(status)}"
                 )
-        _check_filled(self.kind, r=r, H=jacobian)
+            outputs.check()
+            r[k], jacobian[k] = outputs.arrays
         stacked = jacobian.reshape(-1, sum(dims))
         return r.reshape(-1), tuple(np.split(stacked, np.cumsum(dims)[:-1], axis=1))
 
@@ -290,14 +312,14 @@ class DynamicsModel:
         """
         packed = _pack(self.advances + self.reads, x, self.kind)
         n = sum(b.dim for b in self.advances)
-        x_next = np.full(sum(b.size for b in self.advances), np.nan)
-        F = np.full((n, n + sum(b.dim for b in self.reads)), np.nan)
-        Q = np.full((n, n), np.nan)
+        size, width = sum(b.size for b in self.advances), n + sum(b.dim for b in self.reads)
+        outputs = _Outputs(self.kind, x_next=(size,), F=(n, width), Q=(n, n))
+        x_next, F, Q = outputs.arrays
         u = check_inputs(self.kind, self.channels, u)
         status = self.kernel(self.constants(), float(t), u, packed, x_next, F, Q)
         if status:
             raise GeometryError(f"{self.kind}: from t = {t} s: {self.failure(status)}")
-        _check_filled(self.kind, x_next=x_next, F=F, Q=Q)
+        outputs.check()
         parts = np.split(x_next, np.cumsum([b.size for b in self.advances])[:-1])
         values = tuple(b.unpack(v) for b, v in zip(self.advances, parts, strict=True))
         return values, F, Q

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.errors import InputError, ModelError
-from relnav_graph.models import Dynamics, Measurement, Sensor
+from relnav_graph.models import Dynamics, Measurement, Sensor, check_inputs
 from relnav_graph.state import Layout
 
 __all__ = ["Epoch", "InputSeries", "Prior", "Problem", "make_epochs"]
@@ -81,14 +81,47 @@ class Epoch:
 class Prior:
     """Mean x (stored vector) and covariance P (tangent) at the first epoch.
 
-    Raises InputError when P is not symmetric positive definite.
+    Raises InputError when x is not finite or P not symmetric positive definite.
     """
 
     x: Array
     P: Array
 
     def __post_init__(self) -> None:
+        if not np.isfinite(self.x).all():
+            raise InputError(f"the prior: found x = {self.x}, expected finite values")
         check_covariance("the prior", self.P)
+
+
+def check_epoch(
+    processes: Mapping[str, Dynamics],
+    sensors: Mapping[str, Sensor],
+    epoch: Epoch,
+    t_before: float | None,
+) -> None:
+    """Check an epoch and, unless t_before is None, the interval that leads to it.
+
+    Raises InputError when a sensor is unknown, a measurement is of another time or width,
+    or a process lacks inputs, has some of another form, or of another length of time.
+    """
+    for m in epoch.measurements:
+        if m.sensor not in sensors:
+            raise InputError(f"t = {m.t} s: unknown sensor {m.sensor!r}")
+        if abs(m.t - epoch.t) > 1e-6:
+            raise InputError(f"sensor {m.sensor!r}: found t = {m.t} s in the epoch at {epoch.t} s")
+        columns = sensors[m.sensor].columns
+        if m.z.shape[1] != len(columns):
+            raise InputError(
+                f"sensor {m.sensor!r} at t = {m.t} s: found z of {m.z.shape}, expected {columns}"
+            )
+    for name, process in processes.items() if t_before is not None else ():
+        where = f"process {name!r} ({process.kind}) from {t_before} s to {epoch.t} s"
+        if name not in epoch.inputs:
+            raise InputError(f"{where}: found no inputs, expected u (rows, {1 + process.channels})")
+        u = check_inputs(where, process.channels, epoch.inputs[name])
+        length, expected = float(u[:, 0].sum()), epoch.t - float(t_before or 0.0)
+        if abs(length - expected) > 1e-6:
+            raise InputError(f"{where}: found inputs over {length} s, expected {expected} s")
 
 
 def check_covariance(where: str, P: Array) -> None:
@@ -136,6 +169,10 @@ class Problem:
                 f"prior: found x {self.prior.x.shape} and P {self.prior.P.shape}, expected"
                 f" ({self.layout.size},) and ({n}, {n}) for {self.layout}"
             )
+        try:
+            self.layout.pack(self.layout.values(self.prior.x))
+        except InputError as error:
+            raise InputError(f"prior: {error}") from error
         times = np.array([e.t for e in self.epochs])
         if not len(times):
             raise InputError("epochs: found none, expected one or more")
@@ -143,10 +180,9 @@ class Problem:
         if bad.any():
             k = int(np.nonzero(bad)[0][0])
             raise InputError(f"epoch {k}: found t = {times[k]} s, expected increasing times")
-        for epoch in self.epochs:
-            for m in epoch.measurements:
-                if m.sensor not in self.sensors:
-                    raise InputError(f"t = {m.t} s: unknown sensor {m.sensor!r}")
+        for before, epoch in zip((None, *self.epochs[:-1]), self.epochs, strict=True):
+            t_before = None if before is None else before.t
+            check_epoch(self.processes, self.sensors, epoch, t_before)
 
     @property
     def times(self) -> Array:

@@ -132,20 +132,26 @@ def from_pydantic(prefix: str, error: ValidationError) -> Problems:
     for e in error.errors():
         message = e["msg"].removeprefix("Value error, ")
         message = MISSING if e["type"] == "missing" else message
+        if e["type"] == "extra_forbidden" and len(e["loc"]) == 1 and not prefix:
+            message = unknown_key(str(e["loc"][0]), [*ScenarioFile.model_fields, "base"])
         if "found" not in message and e["type"] != "missing":
             message += f" (found {e['input']!r})"
         found.append((_path(prefix, e["loc"]), message))
     return found
 
 
+def unknown_key(key: str, names: Sequence[str]) -> str:
+    """What to say of a key that is none of `names`."""
+    near = difflib.get_close_matches(key, names, 1)
+    return "unknown key" + (
+        f"; did you mean {near[0]!r}?" if near else f"; expected {', '.join(names)}"
+    )
+
+
 def _make(path: str, cls: type[Any], table: Mapping[str, Any], problems: Problems) -> Any:
     """An instance of a dataclass from a table, or None; problems collects what is wrong."""
     names = [f.name for f in dataclasses.fields(cls) if f.init]
-    for key in table:
-        if key not in names:
-            near = difflib.get_close_matches(key, names, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; expected {', '.join(names)}"
-            problems.append((f"{path}.{key}", f"unknown key{hint}"))
+    problems += [(f"{path}.{k}", unknown_key(k, names)) for k in table if k not in names]
     known = {key: value for key, value in table.items() if key in names}
     try:
         return TypeAdapter(cls).validate_python(known)
@@ -241,16 +247,22 @@ def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, An
 def json_schema() -> dict[str, Any]:
     """JSON Schema of scenario files, for editors."""
     schema = ScenarioFile.model_json_schema()
-    for section, group, contract in (
-        ("processes", models.ENTRY_POINTS, "advances"),
-        ("sensors", models.ENTRY_POINTS, "observables"),
-        ("inputs", sim.GROUP, "sample"),
+    options = SensorOptions.model_json_schema()["properties"]
+    for section, group, contract, general in (
+        ("processes", models.ENTRY_POINTS, "advances", {}),
+        ("sensors", models.ENTRY_POINTS, "observables", options),
+        ("inputs", sim.GROUP, "sample", {}),
     ):
         choices = []
         for kind, cls in classes(group).items():
             if hasattr(cls, contract):
                 choice = TypeAdapter(cls).json_schema()
-                choice["properties"] = {"kind": {"const": kind}, **choice.get("properties", {})}
+                schema["$defs"] |= choice.pop("$defs", {})
+                own = choice.get("properties", {})
+                choice["properties"] = {"kind": {"const": kind}, **general, **own}
+                # The scenario's [orbit] serves all models that ask for one.
+                required = [n for n in choice.get("required", []) if n != "orbit"]
+                choice["required"] = ["kind", *required]
                 choices.append(choice)
         schema["properties"][section]["additionalProperties"] = {"anyOf": choices}
     return schema

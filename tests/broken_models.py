@@ -1,4 +1,4 @@
-"""Models that break their contract, run through an estimator and through iSAM2.
+"""Models that break their contract, run by themselves, by an estimator and by iSAM2.
 
 A program of `test_broken_models.py`: what it provokes may crash. For each argument it says
 what became of each model, one line each, and "alive" in the end.
@@ -166,6 +166,15 @@ def assembly_process(name: str) -> None:
     estimate({"fix": PositionFix(covariance=np.eye(3))}, cls(time_constant=1.0, density=1.0))
 
 
+def model_sensor(name: str) -> None:
+    SENSORS[name]().residual(MEASUREMENT, np.zeros(3))
+
+
+def model_process(name: str) -> None:
+    cls = type("Broken", (ThermalDrift,), {"kernel": staticmethod(PROCESSES[name])})
+    cls(time_constant=1.0, density=1.0).transition(0.0, np.ones((1, 1)), np.zeros(1))
+
+
 def isam2_sensor(name: str) -> None:
     incremental(graph.measurement_factor(SENSORS[name](), MEASUREMENT, [7]), [(7, 3)])
 
@@ -180,6 +189,8 @@ def isam2_process(name: str) -> None:
 WAYS = {
     "assembly_sensor": assembly_sensor,
     "assembly_process": assembly_process,
+    "model_sensor": model_sensor,
+    "model_process": model_process,
     "isam2_sensor": isam2_sensor,
     "isam2_process": isam2_process,
 }

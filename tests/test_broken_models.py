@@ -12,13 +12,11 @@ import pytest
 TESTS = Path(__file__).parent
 
 
-@pytest.fixture(scope="module")
-def verdicts() -> dict[tuple[str, str], str]:
+def _run(*ways: str) -> dict[tuple[str, str], str]:
     """What became of each broken model, by way of reaching it and name."""
     path = os.pathsep.join([str(TESTS), *filter(None, sys.path)])
-    hows = ["assembly_sensor", "assembly_process", "isam2_sensor", "isam2_process"]
     done = subprocess.run(
-        [sys.executable, str(TESTS / "broken_models.py"), *hows],
+        [sys.executable, str(TESTS / "broken_models.py"), *ways],
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,
@@ -30,9 +28,23 @@ def verdicts() -> dict[tuple[str, str], str]:
     assert lines[-1] == "alive"
     found = {}
     for line in lines[:-1]:
-        how, name, verdict = line.split(" ", 2)
-        found[how, name] = verdict
+        way, name, verdict = line.split(" ", 2)
+        found[way, name] = verdict
     return found
+
+
+@pytest.fixture(scope="module")
+def verdicts() -> dict[tuple[str, str], str]:
+    return _run("assembly_sensor", "assembly_process", "isam2_sensor", "isam2_process")
+
+
+def test_models_called_from_python_are_guarded_too() -> None:
+    """`residual` and `transition` hand the kernel arrays that it may write past as well."""
+    found = _run("model_sensor", "model_process")
+    for name in ("outside", "outside_jacobian", "before", "process_outside"):
+        way = "model_process" if name.startswith("process") else "model_sensor"
+        assert found[way, name].startswith("ModelError: "), f"{name}: {found[way, name]}"
+        assert "wrote past its arrays" in found[way, name]
 
 
 @pytest.mark.parametrize("how", ["assembly", "isam2"])

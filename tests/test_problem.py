@@ -113,7 +113,7 @@ WRONG_INPUT: list[tuple[str, Callable[[], Any], str]] = [
     (
         "width",
         lambda: run_estimator("ekf", toy_problem([_m([[1.0, 2.0]])])),
-        r"'fix': found 2 values per",
+        r"'fix'.*found .*\(1, 2\), expected .*x_m",
     ),
     (
         "id",
@@ -126,9 +126,9 @@ WRONG_INPUT: list[tuple[str, Callable[[], Any], str]] = [
         "needs the input 'gyro'",
     ),
     ("epoch without", _with_inputs, r"electronics"),
-    ("epoch shape", lambda: _with_inputs(electronics=np.ones(1)), "electronics"),
+    ("epoch shape", lambda: _with_inputs(electronics=np.ones(1)), r"drift.*found u of \(1,\), exp"),
     ("epoch length", lambda: _with_inputs(electronics=3 * ONE), "electronics"),
-    ("epoch nan input", lambda: _with_inputs(electronics=np.nan * ONE), "electronics"),
+    ("epoch nan input", lambda: _with_inputs(electronics=np.nan * ONE), r"drift.*found u.*nan"),
 ]
 
 

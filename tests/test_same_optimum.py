@@ -5,7 +5,7 @@ numbers."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -138,6 +138,35 @@ def test_custom_factors_have_the_same_cost(nonlinear: Nonlinear) -> None:
     assert built.error(nonlinear.values(nonlinear.displaced(0.5))) > at_best + 1
 
 
+def test_gradient_of_the_cost_equals_differences_far_from_the_optimum(
+    nonlinear: Nonlinear,
+) -> None:
+    """With attitudes wrong by 0.3 rad the two ends of an interval do not fit, and the
+    Jacobians of the retraction count; at the optimum they are the identity."""
+    rng, layout = np.random.default_rng(8), nonlinear.problem.layout
+    wrong = np.zeros((len(nonlinear.start), layout.dim))
+    for block in layout:
+        if block.manifold == "SO3":
+            wrong[:, layout.tangent(block.name)] = 0.3 * rng.normal(size=(len(wrong), 3))
+    x = np.array([layout.retract(a, d) for a, d in zip(nonlinear.start, wrong, strict=True)])
+    built, values = nonlinear.graph(), nonlinear.values(x)
+    gradient = built.linearize(values).gradientAtZero()
+    for block in layout:
+        if block.manifold != "SO3":
+            continue
+        direction, back = gtsam.VectorValues(), gtsam.VectorValues()
+        for k in range(len(x)):
+            d = 1e-6 * rng.normal(size=3)
+            direction.insert(nonlinear.key(k, block), d)
+            back.insert(nonlinear.key(k, block), -d)
+        slope = sum(
+            float(gradient.at(nonlinear.key(k, block)) @ direction.at(nonlinear.key(k, block)))
+            for k in range(len(x))
+        )
+        ahead, behind = values.retract(direction), values.retract(back)
+        assert slope == pytest.approx((built.error(ahead) - built.error(behind)) / 2, rel=1e-5)
+
+
 def _gauss_newton(built: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
     ordering = gtsam.Ordering()
     for key in sorted(values.keys(), key=gtsam.symbolIndex):  # in order of time
@@ -200,3 +229,23 @@ def test_isam2_over_custom_factors_reaches_the_same_optimum(nonlinear: Nonlinear
         P = isam.marginalCovariance(nonlinear.key(last, block))
         scale = np.sqrt(np.outer(np.diag(best[rows, rows]), np.diag(best[rows, rows])))
         np.testing.assert_allclose(P / scale, best[rows, rows] / scale, atol=1e-3)
+
+
+@pytest.mark.parametrize("last", [17, 35, 53])
+def test_isam2_is_close_to_batch_over_what_it_has_seen(last: int) -> None:
+    """Online, between relinearisations, where the filter is more than a sigma away."""
+    scenario = load_scenario(ZHANG, ["time.epochs=54"])
+    problem = scenario.problem(scenario.simulate(3), 3)
+    seen = replace(problem, epochs=problem.epochs[: last + 1])
+    batch = run_estimator("batch", seen)
+    sigma = sigmas(batch.P)[last]
+
+    def away(kind: str) -> float:
+        x = run_estimator(kind, seen).x[last]
+        return float(np.abs(problem.layout.local(batch.x[last], x) / sigma).max())
+
+    assert away("iekf") > 1
+    assert away("isam2") < 0.05
+    track = run_estimator("isam2", problem)  # later epochs do not change what it said then
+    assert np.abs(problem.layout.local(batch.x[last], track.x[last]) / sigma).max() < 0.05
+    np.testing.assert_allclose(sigmas(track.P)[last], sigma, rtol=0.02)

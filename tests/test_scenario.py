@@ -335,6 +335,28 @@ def test_a_sensor_more_leaves_the_others_as_they_were() -> None:
         assert other.measurements[0].z.tobytes() != before[0].z.tobytes()
 
 
+def test_sensors_of_one_kind_have_noise_of_their_own() -> None:
+    ranger = TOY["sensors"]["ranger"]
+    raw = {**TOY, "sensors": {"ranger": ranger, "other": ranger}}
+    recording = make_scenario(raw, "toy").simulate(7)
+    assert recording.truth is not None
+    noise = {
+        name: [
+            float(m.z[0, 0] - np.linalg.norm(r - [1, 0, 0]) - d[0])
+            for r, d, m in zip(
+                recording.truth.values["relative_position"],
+                recording.truth.values["range_drift"],
+                [m for m in recording.measurements if m.sensor == name],
+                strict=True,
+            )
+        ]
+        for name in ("ranger", "other")
+    }
+    assert np.abs(np.subtract(noise["ranger"], noise["other"])).min() > 1e-6
+    for values in noise.values():
+        assert 0 < np.std(values) < 0.03
+
+
 def test_period_of_a_sensor() -> None:
     recording = _toy('sensors.ranger.period="4 s"').simulate(0)
     assert [m.t for m in recording.measurements] == [0.0, 4.0, 8.0]

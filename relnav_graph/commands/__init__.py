@@ -110,6 +110,7 @@ def show_events() -> None:
 def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, Any]]:
     """Run estimators on one problem; their tracks, and the summary of section `--json`."""
     problem = run.scenario.problem(run.recording, run.seed)
+    window = run.scenario.window(problem.times)
     chosen = list(dict.fromkeys(kinds or run.scenario.file.estimators))
     for kind in chosen:  # what is not compiled yet must not count as run time
         run_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
@@ -123,7 +124,7 @@ def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, An
         tracks,
         run.recording.truth,
         derived_quantities(run.scenario.layout),
-        run.scenario.window(problem.times),
+        window,
         len(problem.epochs),
     )
     return tracks, found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Protocol, runtime_checkable
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relnav_graph.problem import Problem
@@ -32,5 +33,6 @@ def run_estimator(kind: str, problem: Problem) -> Track:
     kind, EstimationError when no estimate is possible.
     """
     estimator: Estimator = find_class(GROUP, kind)()
-    with threadpool_limits(1, "blas"):
+    # A filter that diverges overflows before its status says so.
+    with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
         return estimator.run(problem)

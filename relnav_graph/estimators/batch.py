@@ -18,7 +18,7 @@ from relnav_graph.chain import (
     epoch_factor,
     linearize,
 )
-from relnav_graph.errors import EstimationError
+from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.ekf import filter_pass, judge, nan_tail
 from relnav_graph.estimators.gating import count_rejected, residual_weights
 from relnav_graph.estimators.rts import smooth
@@ -47,13 +47,34 @@ class Solution:
 
 
 def _damped(chain: Chain, undamped: Conditionals, damping: float) -> Conditionals:
-    """The same system with Levenberg's rows, scaled by the information of each state."""
+    """The same system with Levenberg's rows, in units of each state's own sigma.
+
+    Scaled by the diagonal of the information, as is usual, damping would freeze the weak
+    directions, which many states share: there a state's own sigma is large.
+    """
     count, n = undamped.d.shape
     factors = chain_factors(chain)
+    sigma = np.sqrt(np.einsum("kii->ki", undamped.covariances()))
     for k in range(count):
-        scale = np.sqrt(damping) * np.linalg.norm(undamped.R[k], axis=0)
-        factors.append(epoch_factor(k, np.diag(scale), np.zeros(n)))
+        factors.append(epoch_factor(k, np.diag(np.sqrt(damping) / sigma[k]), np.zeros(n)))
     return eliminate(factors, count, n)
+
+
+def _moved(
+    assembly: Assembly, prior: Prior, x: Array, step: Array, whiten: Array, chain: Chain
+) -> tuple[Array, Chain | None]:
+    """The trajectory after a step, and its system; None where it cannot be.
+
+    An observation that the step makes impossible must not pass for one that fits.
+    """
+    layout = assembly.layout
+    x_next = np.array([layout.retract(a, d) for a, d in zip(x, step, strict=True)])
+    try:
+        chain_next = linearize(assembly, prior, x_next, whiten, chain.weights)
+    except (GeometryError, ModelError):
+        return x_next, None
+    lost = (chain_next.measurements.status > 0) & (chain.measurements.status == 0)
+    return x_next, None if lost.any() or not np.isfinite(chain_next.cost) else chain_next
 
 
 def solve(
@@ -63,38 +84,46 @@ def solve(
     weights: Array,
     *,
     tolerance: float = 1e-3,
-    max_iterations: int = 30,
+    max_iterations: int = 50,
 ) -> Solution:
     """Minimise the whole cost from the trajectory x (N, size).
 
-    Steps are Gauss-Newton's; one that does not lower the cost is repeated with damping.
-    tolerance: the length of the last step, in sigmas over all states together. Noise
-    that depends on the state is taken at the first trajectory, so that the cost stays
-    one function. Raises EstimationError on a system without a solution.
+    Steps are Gauss-Newton's. In a narrow, bent valley a good one may raise the cost
+    before the next lowers it, so two may (the watchdog of Chamberlain et al. 1982);
+    then the best point so far is taken up again, with damping. tolerance: the length of
+    the last step, in sigmas over all states together. Noise that depends on the state is
+    taken at the first trajectory, so that the cost stays one function. Raises
+    EstimationError on a system without a solution.
     """
-    layout, count = assembly.layout, len(x)
+    count, n = len(x), assembly.layout.dim
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
     chain = linearize(assembly, prior, x, whiten, weights)
-    damping, distance, iteration = 0.0, np.inf, 0
-    undamped = conditionals = eliminate(chain_factors(chain), count, layout.dim)
+    undamped = conditionals = eliminate(chain_factors(chain), count, n)
+    best = x, chain, undamped
+    damping, ventured, distance, iteration = 0.0, 0, np.inf, 0
     while iteration < max_iterations:
         iteration += 1
         distance = np.sqrt(2 * undamped.decrease())
-        step = conditionals.solution()
-        x_next = np.array([layout.retract(a, d) for a, d in zip(x, step, strict=True)])
-        chain_next = linearize(assembly, prior, x_next, whiten, weights)
+        x_next, chain_next = _moved(assembly, prior, x, conditionals.solution(), whiten, chain)
         # The cost is a sum of many squares: its own rounding is no reason to stop.
-        if chain_next.cost <= chain.cost * (1 + 1e-12):
-            x, chain, damping = x_next, chain_next, damping / 10 if damping > 1e-8 else 0.0
-            undamped = conditionals = eliminate(chain_factors(chain), count, layout.dim)
+        better = chain_next is not None and chain_next.cost <= best[1].cost * (1 + 1e-12)
+        if chain_next is not None and (better or (damping == 0.0 and ventured < 2)):
+            x, chain = x_next, chain_next
+            undamped = eliminate(chain_factors(chain), count, n)
+            ventured = 0 if better else ventured + 1
+            if better:
+                best = x, chain, undamped
+                converged = distance < tolerance and damping == 0.0
+                damping = damping / 10 if damping > 1e-3 else 0.0
+                if converged:
+                    break
         elif distance < tolerance or damping > 1e8:
             break
         else:
-            damping = max(10 * damping, 1e-6)
-        if distance < tolerance and damping == 0.0:
-            break
-        if damping:
-            conditionals = _damped(chain, undamped, damping)
+            x, chain, undamped = best
+            damping, ventured = max(10 * damping, 1e-2), 0
+        conditionals = _damped(chain, undamped, damping) if damping else undamped
+    x, chain, undamped = best
     return Solution(x, undamped, chain, weights, float(distance), iteration)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from relnav_graph.assembly import Assembly, MeasurementRows
-from relnav_graph.errors import EstimationError
+from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.gating import count_rejected, innovation_weights
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.state import Layout
@@ -104,9 +104,15 @@ class KalmanFilter:
     def step(self, epoch: Epoch) -> FilterStep:
         """Predict to the epoch and update with its measurements.
 
-        Raises EstimationError when the state or its covariance is no longer finite; the
-        filter then stands where it stood before.
+        Raises EstimationError when the state cannot be propagated or updated, or is no
+        longer finite; the filter then stands where it stood before.
         """
+        try:
+            return self._step(epoch)
+        except (GeometryError, np.linalg.LinAlgError) as error:
+            raise EstimationError(f"t = {epoch.t} s: {error}") from error
+
+    def _step(self, epoch: Epoch) -> FilterStep:
         problem = self.problem
         assembly = Assembly(
             problem.layout, problem.processes, problem.sensors, [epoch], t_before=self.t
@@ -121,10 +127,7 @@ class KalmanFilter:
         if assembly.observations:
             rows = assembly.measure(x[None], weights)
             weights = innovation_weights(assembly, rows, P, problem.gates)
-            try:
-                x, P = update(assembly, x, P, weights, self.iterations)
-            except np.linalg.LinAlgError as error:
-                raise EstimationError(f"t = {epoch.t} s: {error}") from error
+            x, P = update(assembly, x, P, weights, self.iterations)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
         self.t, self.x, self.P = epoch.t, x, P

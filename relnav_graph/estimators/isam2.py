@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.chain import chain_factors, epoch_factor, interval_factor
-from relnav_graph.errors import EstimationError
+from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.batch import Solution, solve_gated
 from relnav_graph.estimators.ekf import judge, nan_tail, symmetric, update
 from relnav_graph.estimators.gating import count_rejected, innovation_weights
@@ -77,8 +77,23 @@ class IncrementalSmoother:
     def step(self, epoch: Epoch) -> tuple[Array, Array]:
         """Take in one epoch; the estimate there, x (size,) and P (n, n).
 
-        Raises EstimationError when the estimate is not finite or not determined.
+        Raises EstimationError when the state cannot be propagated or updated, or is not
+        determined or not finite; the epoch then counts as not taken in.
         """
+        count, x, P = len(self.epochs), self.x, self.P
+        try:
+            self._step(epoch)
+        except Exception as error:
+            # An update that failed leaves the tree unusable: the next step builds it anew.
+            for history in (self.epochs, self._weights, self._references):
+                del history[count:]
+            self.x, self.P, self._tree, self._relinearize_at = x, P, _new_tree(), 0
+            if isinstance(error, (GeometryError, np.linalg.LinAlgError)):
+                raise EstimationError(f"t = {epoch.t} s: {error}") from error
+            raise
+        return self.x, self.P
+
+    def _step(self, epoch: Epoch) -> None:
         t_before = self.epochs[-1].t if self.epochs else None
         assembly = self._assemble([epoch], t_before)
         x, P, whiten = self.x, self.P, np.zeros((0, 0, 0))
@@ -103,7 +118,6 @@ class IncrementalSmoother:
             self._extend(assembly, whiten, weights)
         if not (np.isfinite(self.x).all() and np.isfinite(self.P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
-        return self.x, self.P
 
     def _extend(self, assembly: Assembly, whiten: Array, weights: Array) -> None:
         """Add the newest epoch to the tree, linearised at its reference."""

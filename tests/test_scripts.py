@@ -1,0 +1,39 @@
+"""The scripts of experiments/ run, at reduced size, and find what they say."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+
+
+def _script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, EXPERIMENTS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_native_gtsam_recovers_the_pose() -> None:
+    """From priors of 0.01 rad, 0.05 rad and 0.2 m, by beacons known to 1e-4 rad."""
+    errors = _script("native_gtsam").main()
+    assert errors["chaser attitude [rad]"] < 0.02
+    assert errors["target attitude [rad]"] < 0.02
+    assert errors["relative position [m]"] < 0.1
+
+
+def test_tumbling_rates_finds_the_graph_consistent() -> None:
+    found = _script("tumbling_rates").main(passes=3, epochs=60)
+    assert set(found) == {"iekf", "isam2", "isam2_smoothed", "batch"}
+    assert max(found["batch"]) < 2.5
+    assert max(found["isam2"]) < 2.5
+
+
+def test_every_script_is_run_here() -> None:
+    here = Path(__file__).read_text("utf-8")
+    for path in EXPERIMENTS.glob("*.py"):
+        assert f'"{path.stem}"' in here, f"{path.name} has no test"
