@@ -8,7 +8,8 @@ Cholesky factor of their covariance. Columns are the tangent of one whole epoch.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.loops import BROKEN, interval_rows, measure, transition
-from relnav_graph.models import Dynamics, Sensor
+from relnav_graph.models import Dynamics, Measurement, Sensor
 from relnav_graph.problem import Epoch, check_epoch
 from relnav_graph.state import Layout
 
@@ -63,6 +64,20 @@ class _SensorArrays:
     columns: Indices
     part: slice  # of all observations
 
+    def only(self, some: slice, first_row: int, part: slice) -> _SensorArrays:
+        """Some observations, all of one epoch whose rows begin at first_row."""
+        row = self.row[some] - first_row
+        return replace(
+            self,
+            q=self.q[some],
+            z=self.z[some],
+            ids=self.ids[some],
+            epoch=np.zeros(len(row), dtype=np.int64),
+            row=row,
+            whiten=self.whiten[some],
+            part=part,
+        )
+
     def check(self, status: Indices, times: Array) -> None:
         """Raise ModelError when the kernel broke its contract at an observation."""
         if np.count_nonzero(status) and (status < 0).any():
@@ -87,6 +102,12 @@ class _ProcessArrays:
     scatter: Indices
     columns: Indices
     rows: Indices
+
+    def only(self, intervals: slice) -> _ProcessArrays:
+        """Some adjoining intervals, or none."""
+        offset = self.offset[intervals.start : intervals.stop + 1]
+        u = self.u[offset[0] : offset[-1]] if len(offset) else self.u[:0]
+        return replace(self, u=u, offset=offset - offset[:1])
 
 
 def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Array) -> ProcessRows:
@@ -114,6 +135,16 @@ def inverse_cholesky(where: str, covariances: Array) -> Array:
             f" {variances.min():.3g} to {variances.max():.3g}); expected densities and sigmas > 0"
         ) from error
     return np.ascontiguousarray(np.linalg.inv(factor) / scale[..., None, :])
+
+
+def _noise(name: str, sensor: Sensor, m: Measurement) -> Array:
+    noise = np.asarray(sensor.noise(m))
+    expected = (len(m.z), sensor.rows, sensor.rows)
+    if noise.shape != expected:
+        raise ModelError(
+            f"sensor {name!r} at t = {m.t} s: noise gives {noise.shape}, expected {expected}"
+        )
+    return noise
 
 
 class Assembly:
@@ -147,6 +178,28 @@ class Assembly:
             for name, process in processes.items()
         ]
 
+    def at(self, k: int) -> Assembly:
+        """Epoch k alone, with the interval that leads to it: what the constructor makes
+        of it, without its cost."""
+        one = copy(self)
+        for name in ("_by_epoch", "observation_rows"):
+            one.__dict__.pop(name, None)
+        one.times = self.times[k : k + 1]
+        first = int(self.row_offsets[k])
+        one.row_offsets = self.row_offsets[k : k + 2] - first
+        one._sensors, one.observations = [], 0
+        for s in self._sensors:
+            a, b = np.searchsorted(s.epoch, (k, k + 1))
+            if b > a:
+                part = slice(one.observations, one.observations + int(b - a))
+                one._sensors.append(s.only(slice(a, b), first, part))
+                one.observations = part.stop
+        i = k - len(self.times) + len(self._starts)  # the interval that leads to epoch k
+        intervals = slice(max(i, 0), i + 1)
+        one._starts = self._starts[intervals]
+        one._processes = [a.only(intervals) for a in self._processes]
+        return one
+
     def _stack_sensors(
         self, sensors: Mapping[str, Sensor], epochs: Sequence[Epoch]
     ) -> tuple[list[_SensorArrays], Indices]:
@@ -170,12 +223,7 @@ class Assembly:
                 z = np.ascontiguousarray(sensor.accept(z), dtype=np.float64)
             except InputError as error:
                 raise InputError(f"sensor {name!r}: {error}") from error
-            noise = np.concatenate([sensor.noise(m) for m in ms])
-            if noise.shape != (len(z), sensor.rows, sensor.rows):
-                raise ModelError(
-                    f"sensor {name!r}: noise gives {noise.shape},"
-                    f" expected {(len(z), sensor.rows, sensor.rows)}"
-                )
+            noise = np.concatenate([_noise(name, sensor, m) for m in ms])
             row = [
                 offsets[k] + o + sensor.rows * np.arange(n)
                 for (k, _, o), n in zip(places, sizes, strict=True)

@@ -121,7 +121,6 @@ def announce(kernel: Any) -> None:
         _announce(cache_folder(kernel.py_func.__code__.co_filename))
 
 
-@cache
 def _address(kernel: Any, signature: Any) -> int:
     name = getattr(kernel, "__name__", kernel)
     if not hasattr(kernel, "py_func"):
@@ -132,16 +131,19 @@ def _address(kernel: Any, signature: Any) -> int:
         raise ModelError(f"kernel {name}: does not compile as {signature}: {error}") from error
 
 
+@cache
 def sensor_address(kernel: Any) -> int:
     """The machine code of a sensor's kernel, compiled if need be, for `sensor_at`.
 
     An address costs a loop nothing to take; a first-class function 15 us per call.
+    Raises ModelError on a function that is not compiled or has another signature.
     """
     return _address(kernel, SENSOR_KERNEL)
 
 
+@cache
 def dynamics_address(kernel: Any) -> int:
-    """The machine code of a process model's kernel, for `dynamics_at`."""
+    """The machine code of a process model's kernel, for `dynamics_at`. Raises ModelError."""
     return _address(kernel, DYNAMICS_KERNEL)
 
 

@@ -115,7 +115,8 @@ class Nonlinear:
 def nonlinear() -> Nonlinear:
     scenario = load_scenario(ZHANG, ["time.epochs=40"])
     problem = scenario.problem(scenario.simulate(1), 1)
-    steps, _, stopped = filter_pass(problem, 20)
+    done = filter_pass(problem, 20)
+    steps, stopped = done.steps, done.stopped
     assert not stopped
     start = smooth(problem.layout, steps)[0]
     assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)

@@ -161,12 +161,12 @@ class Batch:
         x, P = nan_tail([], count, (layout.size,)), nan_tail([], count, (layout.dim, layout.dim))
         status: Status = "diverged"
         rejected = dict.fromkeys(problem.sensors, 0)
-        steps, _, message = filter_pass(problem, 20)
+        done = filter_pass(problem, 20)
+        assembly, message = done.assembly, done.stopped
         if not message:
             try:
-                assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
-                weights = assembly.in_order([s.weights for s in steps])
-                solution = solve_gated(assembly, problem, smooth(layout, steps)[0], weights)
+                weights = assembly.in_order([s.weights for s in done.steps])
+                solution = solve_gated(assembly, problem, smooth(layout, done.steps)[0], weights)
                 x, P = solution.x, solution.conditionals.covariances()
                 rejected |= count_rejected(assembly, solution.weights)
                 status, message = judge(rejected, problem)

@@ -66,7 +66,7 @@ def update(
     cost = _cost(layout, x0, whiten, x0, rows)
     H: Array = rows.H
     gain: Array = H.T
-    for iteration in range(iterations):
+    for _ in range(iterations):
         e = layout.local(x0, x)
         J_inverse = layout.right_jacobian(e)
         H = rows.H @ J_inverse  # to perturbations in the tangent of x0
@@ -76,16 +76,17 @@ def update(
         if iterations == 1:
             x_next = layout.retract(x, step)
             break
-        for _ in range(10):
+        for _halving in range(10):
             x_next = layout.retract(x, step)
             rows_next = assembly.measure(x_next[None], weights)
             cost_next = _cost(layout, x0, whiten, x_next, rows_next)
             if cost_next <= cost * (1 + 1e-9) + 1e-9:
                 break
             step = 0.5 * step
-        small = float(np.sum((whiten @ step) ** 2)) < 1e-12 or abs(cost - cost_next) < 1e-9
+        # The length of the step in sigmas of the posterior; the next would be its square.
+        length2 = float(np.sum((whiten @ step) ** 2) + np.sum((rows.H @ step) ** 2))
         x, rows, cost = x_next, rows_next, cost_next
-        if small and iteration:
+        if length2 < 1e-6:
             break
     left = np.eye(layout.dim) - gain @ H
     P = left @ P0 @ left.T + gain @ gain.T
@@ -101,22 +102,24 @@ class KalmanFilter:
         self.t: float | None = None
         self.x, self.P = problem.prior.x, problem.prior.P
 
-    def step(self, epoch: Epoch) -> FilterStep:
+    def step(self, epoch: Epoch, assembly: Assembly | None = None) -> FilterStep:
         """Predict to the epoch and update with its measurements.
 
+        assembly: of this epoch, where the caller has it already.
         Raises EstimationError when the state cannot be propagated or updated, or is no
         longer finite; the filter then stands where it stood before.
         """
         try:
-            return self._step(epoch)
+            return self._step(epoch, assembly)
         except (GeometryError, np.linalg.LinAlgError) as error:
             raise EstimationError(f"t = {epoch.t} s: {error}") from error
 
-    def _step(self, epoch: Epoch) -> FilterStep:
+    def _step(self, epoch: Epoch, assembly: Assembly | None) -> FilterStep:
         problem = self.problem
-        assembly = Assembly(
-            problem.layout, problem.processes, problem.sensors, [epoch], t_before=self.t
-        )
+        if assembly is None:
+            assembly = Assembly(
+                problem.layout, problem.processes, problem.sensors, [epoch], t_before=self.t
+            )
         x, P, F = self.x, self.P, None
         if self.t is not None:
             x_next, all_F, all_Q = assembly.transition(x[None])
@@ -152,19 +155,31 @@ def judge(rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
     return "ok", ""
 
 
-def filter_pass(problem: Problem, iterations: int) -> tuple[list[FilterStep], list[float], str]:
-    """All steps, the time of each in s, and why the filter stopped early (or "")."""
+@dataclass(frozen=True, eq=False)
+class FilterPass:
+    """A filter's way through a pass: its steps, the time of each in s, why it stopped
+    early (or ""), and the assembly of the whole pass."""
+
+    steps: list[FilterStep]
+    seconds: list[float]
+    stopped: str
+    assembly: Assembly
+
+
+def filter_pass(problem: Problem, iterations: int) -> FilterPass:
+    """Filter all epochs, or as many as the filter survives."""
+    assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
     kalman = KalmanFilter(problem, iterations)
     steps: list[FilterStep] = []
     seconds: list[float] = []
-    for epoch in problem.epochs:
+    for k, epoch in enumerate(problem.epochs):
         start = time.perf_counter()
         try:
-            steps.append(kalman.step(epoch))
+            steps.append(kalman.step(epoch, assembly.at(k)))
         except EstimationError as error:
-            return steps, seconds, str(error)
+            return FilterPass(steps, seconds, str(error), assembly)
         seconds.append(time.perf_counter() - start)
-    return steps, seconds, ""
+    return FilterPass(steps, seconds, "", assembly)
 
 
 def nan_tail(values: list[Array], count: int, shape: tuple[int, ...]) -> Array:
@@ -187,7 +202,9 @@ class Ekf:
 
     def run(self, problem: Problem) -> Track:
         """Filter the whole pass."""
-        steps, seconds, stopped = filter_pass(problem, self.iterations)
+        start = time.perf_counter()
+        done = filter_pass(problem, self.iterations)
+        steps, seconds, stopped = done.steps, done.seconds, done.stopped
         n, size = problem.layout.dim, problem.layout.size
         rejected = add_counts([s.rejected for s in steps], problem.sensors)
         status, message = ("diverged", stopped) if stopped else judge(rejected, problem)
@@ -200,7 +217,7 @@ class Ekf:
             P=nan_tail([s.P for s in steps], len(problem.epochs), (n, n)),
             status=status,  # type: ignore[arg-type]
             message=message,
-            runtime_s=sum(seconds),
+            runtime_s=time.perf_counter() - start,
             step_s=np.array(seconds),
             rejected=rejected,
         )

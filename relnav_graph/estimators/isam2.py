@@ -74,15 +74,16 @@ class IncrementalSmoother:
         p = self.problem
         return Assembly(p.layout, p.processes, p.sensors, epochs, t_before)
 
-    def step(self, epoch: Epoch) -> tuple[Array, Array]:
+    def step(self, epoch: Epoch, assembly: Assembly | None = None) -> tuple[Array, Array]:
         """Take in one epoch; the estimate there, x (size,) and P (n, n).
 
+        assembly: of this epoch, where the caller has it already.
         Raises EstimationError when the state cannot be propagated or updated, or is not
         determined or not finite; the epoch then counts as not taken in.
         """
         count, x, P = len(self.epochs), self.x, self.P
         try:
-            self._step(epoch)
+            self._step(epoch, assembly)
         except Exception as error:
             # An update that failed leaves the tree unusable: the next step builds it anew.
             for history in (self.epochs, self._weights, self._references):
@@ -93,9 +94,10 @@ class IncrementalSmoother:
             raise
         return self.x, self.P
 
-    def _step(self, epoch: Epoch) -> None:
+    def _step(self, epoch: Epoch, assembly: Assembly | None) -> None:
         t_before = self.epochs[-1].t if self.epochs else None
-        assembly = self._assemble([epoch], t_before)
+        if assembly is None:
+            assembly = self._assemble([epoch], t_before)
         x, P, whiten = self.x, self.P, np.zeros((0, 0, 0))
         if t_before is not None:
             x_next, F, Q = assembly.transition(x[None])
@@ -196,10 +198,11 @@ class Isam2:
         smoothed_P = nan_tail([], count, (layout.dim, layout.dim))
         rejected = dict.fromkeys(problem.sensors, 0)
         status: Status = "diverged"
+        assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
         try:
-            for epoch in problem.epochs:
+            for k, epoch in enumerate(problem.epochs):
                 begun = time.perf_counter()
-                x, P = smoother.step(epoch)
+                x, P = smoother.step(epoch, assembly.at(k))
                 seconds.append(time.perf_counter() - begun)
                 xs.append(x)
                 Ps.append(P)

@@ -62,7 +62,8 @@ class Rts:
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
         start = time.perf_counter()
-        steps, _, stopped = filter_pass(problem, self.iterations)
+        done = filter_pass(problem, self.iterations)
+        steps, stopped = done.steps, done.stopped
         count, n, size = len(problem.epochs), problem.layout.dim, problem.layout.size
         x, P = nan_tail([], count, (size,)), nan_tail([], count, (n, n))
         rejected = add_counts([s.rejected for s in steps], problem.sensors)
