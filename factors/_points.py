@@ -19,6 +19,7 @@ from relnav_graph.state import (
     RELATIVE_POSITION_T,
     TARGET_ATTITUDE,
     Block,
+    check_rotation,
 )
 from relnav_graph.units import Quantity
 
@@ -93,9 +94,7 @@ class PointSensor(SensorModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        error = np.abs(self.sensor_attitude.T @ self.sensor_attitude - np.eye(3)).max()
-        if error > 1e-6 or np.linalg.det(self.sensor_attitude) < 0:
-            raise InputError(f"{self.kind}.sensor_attitude: not a rotation (off by {error:.1e})")
+        check_rotation(f"{self.kind}.sensor_attitude", self.sensor_attitude)
 
     @property
     def reads(self) -> tuple[Block, ...]:

@@ -288,6 +288,13 @@ class Assembly:
         order = np.argsort(epoch, kind="stable")
         return np.split(order, np.searchsorted(epoch[order], np.arange(1, len(self.times))))
 
+    def rows_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of all rows belong to the chosen observations."""
+        out = np.zeros(int(self.row_offsets[-1]), dtype=bool)
+        for start, stop in self.observation_rows[chosen]:
+            out[start:stop] = True
+        return out
+
     def in_order(self, weights: Sequence[Array]) -> Array:
         """Weights of all observations, from those of each epoch assembled on its own."""
         out = np.ones(self.observations)

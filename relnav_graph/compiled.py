@@ -5,9 +5,9 @@ fixed signature, so that the generic loops call kernels by their address and are
 themselves compiled once, whatever models a problem uses.
 
 numba's own disk cache looks only at the file of the cached function: a change in a
-callee that lives in another file goes unseen. Here the cache folder bears a digest of
-every source file that holds compiled code (this package's and the kernel's own), so a
-change anywhere gives a new folder.
+callee, or in a constant, that lives in another file goes unseen. Here the cache folder
+bears a digest of the sources that the code may depend on: this package's lower floors and
+all of the kernel's own package. A change in any of them gives a new folder.
 """
 
 from __future__ import annotations
@@ -68,14 +68,26 @@ SENSOR_KERNEL = types.int64(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
 DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX)
 
 
+#: Modules of this package that compiled code may call or take constants from.
+_LOWER_FLOORS = ("chain", "compiled", "constants", "loops", "orbit", "so3", "state")
+
+
 @cache
 def _digest(folder: Path) -> str:
-    """Digest of the sources in `folder` and below that hold compiled code."""
+    """Digest of the sources that machine code of a file in `folder` may depend on: the
+    whole package that it is in; only its own folder for a loose file."""
+    top, loose = folder, not (folder / "__init__.py").is_file()
+    while (top.parent / "__init__.py").is_file():
+        top = top.parent
+    if top == Path(__file__).parent:
+        paths = [top / f"{name}.py" for name in _LOWER_FLOORS] + list(folder.glob("*.py")) * (
+            folder != top
+        )
+    else:
+        paths = list(top.glob("*.py") if loose else top.rglob("*.py"))
     sha = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        text = path.read_bytes()
-        if b"@jit" in text:
-            sha.update(path.name.encode() + b"\0" + text)
+    for path in sorted(paths):
+        sha.update(path.name.encode() + b"\0" + path.read_bytes())
     return sha.hexdigest()
 
 

@@ -2,5 +2,3 @@
 
 #: Gravitational parameter of the Earth, m^3/s^2 (EGM2008; Pavlis et al. 2012).
 MU_EARTH = 3.986004415e14
-#: Equatorial radius of the Earth, m (EGM2008 reference radius).
-RADIUS_EARTH = 6378136.3

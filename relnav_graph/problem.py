@@ -19,6 +19,8 @@ from relnav_graph.state import Layout
 __all__ = ["Epoch", "InputSeries", "Prior", "Problem", "make_epochs"]
 
 Array = NDArray[np.float64]
+#: Times closer than this are the same, s: above the rounding of stamps of 1e9 s.
+SAME_TIME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +46,7 @@ class InputSeries:
         if self.t_end.shape != (n,) or self.values.ndim != 2 or len(self.values) != n:
             raise InputError(f"input {self.name!r}: t_start, t_end and values differ in length")
         backwards = self.t_end <= self.t_start
-        backwards[1:] |= self.t_start[1:] < self.t_end[:-1] - 1e-9
+        backwards[1:] |= self.t_start[1:] < self.t_end[:-1] - SAME_TIME
         if backwards.any():
             t = self.t_start[np.nonzero(backwards)[0][0]]
             raise InputError(f"input {self.name!r}: intervals overlap or run backwards at {t} s")
@@ -52,7 +54,7 @@ class InputSeries:
     def over(self, t0: float, t1: float) -> tuple[Array, Array]:
         """Edges (k + 1,) and values (k, channels) covering [t0, t1]. Raises InputError
         where there is no sample."""
-        tolerance = 1e-9 * max(1.0, abs(t1))
+        tolerance = SAME_TIME
         i = int(np.searchsorted(self.t_end, t0 + tolerance, side="right"))
         j = int(np.searchsorted(self.t_start, t1 - tolerance, side="left"))
         starts, ends = self.t_start[i:j], self.t_end[i:j]
@@ -107,7 +109,7 @@ def check_epoch(
     for m in epoch.measurements:
         if m.sensor not in sensors:
             raise InputError(f"t = {m.t} s: unknown sensor {m.sensor!r}")
-        if abs(m.t - epoch.t) > 1e-6:
+        if abs(m.t - epoch.t) > SAME_TIME:
             raise InputError(f"sensor {m.sensor!r}: found t = {m.t} s in the epoch at {epoch.t} s")
         columns = sensors[m.sensor].columns
         if m.z.shape[1] != len(columns):
@@ -120,7 +122,7 @@ def check_epoch(
             raise InputError(f"{where}: found no inputs, expected u (rows, {1 + process.channels})")
         u = check_inputs(where, process.channels, epoch.inputs[name])
         length, expected = float(u[:, 0].sum()), epoch.t - float(t_before or 0.0)
-        if abs(length - expected) > 1e-6:
+        if abs(length - expected) > SAME_TIME:
             raise InputError(f"{where}: found inputs over {length} s, expected {expected} s")
 
 
@@ -227,8 +229,8 @@ def process_inputs(
     edges = np.array([t0, t1])
     for part_edges, _ in parts:
         edges = np.union1d(edges, part_edges)
-    # Edges closer than a nanosecond are one edge, written with different rounding.
-    edges = edges[np.concatenate(([True], np.diff(edges) > 1e-9))]
+    # Edges closer than that are one edge, written with different rounding.
+    edges = edges[np.concatenate(([True], np.diff(edges) > SAME_TIME))]
     edges[-1] = t1
     middle = 0.5 * (edges[1:] + edges[:-1])
     columns = [np.diff(edges)[:, None]]
@@ -250,11 +252,11 @@ def make_epochs(
     ordered = sorted(measurements, key=lambda m: m.t)
     stamps = np.array([m.t for m in ordered]) if times is None else np.asarray(times)
     if times is None and len(stamps):
-        stamps = stamps[np.concatenate(([True], np.diff(stamps) > 1e-6))]
+        stamps = stamps[np.concatenate(([True], np.diff(stamps) > SAME_TIME))]
     groups: list[list[Measurement]] = [[] for _ in stamps]
     for m in ordered:
         k = int(np.abs(stamps - m.t).argmin()) if len(stamps) < 2 else _nearest(stamps, m.t)
-        if abs(stamps[k] - m.t) > 1e-6:
+        if abs(stamps[k] - m.t) > SAME_TIME:
             raise InputError(f"sensor {m.sensor!r}: measurement at {m.t} s lies between epochs")
         groups[k].append(m)
     epochs = []

@@ -53,7 +53,7 @@ def find_class(group: str, kind: str) -> type[Any]:
         module, _, name = kind.partition(":")
         try:
             cls = getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError) as error:
+        except (ImportError, AttributeError, TypeError, ValueError) as error:
             raise ModelError(f"found kind {kind!r}: {error}") from error
         if not isinstance(cls, type) or not hasattr(cls, "kind"):
             raise ModelError(f"found kind {kind!r}, expected a class with a kind")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from relnav_graph.errors import InputError, ModelError
 from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
+from relnav_graph.registry import find_class
 from relnav_graph.settings import (
     MISSING,
     BlockPrior,
@@ -37,6 +39,7 @@ from relnav_graph.units import Quantity, parse_quantity
 
 __all__ = ["Scenario", "ScenarioError", "load_scenario", "make_scenario", "override", "read_toml"]
 
+_LOG = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 
 
@@ -74,10 +77,11 @@ class Scenario:
             for end in self.file.evaluate
         )
         if not low < high or high < 0 or low > 1:
-            raise InputError(
-                f"{self.name}: evaluate = {self.file.evaluate} leaves no part of a pass from"
-                f" {t0} s to {t0 + length} s"
+            _LOG.info(
+                "evaluate = %s leaves no part of a pass from %g s to %g s: all of it is scored",
+                *(self.file.evaluate, t0, t0 + length),
             )
+            return None
         return max(low, 0.0), min(high, 1.0)
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
@@ -86,6 +90,13 @@ class Scenario:
             raise InputError(
                 f"{self.name}: no [truth] and [time] to simulate from; give recorded data"
             )
+        for name, o in self.options.items():
+            cycles = (o.period or self.file.time.step) / self.file.time.step
+            if cycles < 1 - 1e-6 or abs(cycles - round(cycles)) > 1e-6:
+                raise InputError(
+                    f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
+                    f" of time.step, {self.file.time.step} s"
+                )
         timings = {name: sim.Timing(o.period) for name, o in self.options.items()}
         times = self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
         return sim.simulate(
@@ -103,6 +114,31 @@ class Scenario:
         rng = sim.stream(seed, run, "prior")
         prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
         return Problem(self.processes, self.sensors, prior, epochs, self.gates)
+
+
+def _check_choices(file: ScenarioFile, problems: Problems) -> None:
+    for i, kind in enumerate(file.estimators):
+        try:
+            find_class("relnav_graph.estimators", kind)
+        except ModelError as error:
+            problems.append((f"estimators[{i}]", str(error)))
+    low, high = file.evaluate or (0.0, 1.0)
+    if isinstance(low, float) and isinstance(high, float) and not low < high:
+        problems.append(("evaluate", f"found {file.evaluate}, expected the earlier end first"))
+
+
+def _check_inputs(
+    processes: Mapping[str, Dynamics],
+    file: ScenarioFile,
+    inputs: Mapping[str, Any],
+    problems: Problems,
+) -> None:
+    """A simulated pass needs a source for each input of its processes."""
+    for name, process in processes.items() if file.truth is not None else ():
+        for needed in process.inputs:
+            if needed not in inputs:
+                message = f"missing: processes.{name} ({process.kind}) needs this input"
+                problems.append((f"inputs.{needed}", message))
 
 
 def _prior_sigma(block: Block, value: Any) -> Array:
@@ -215,14 +251,19 @@ def make_scenario(
     if waiting:
         problems = [p for p in problems if p[1] != MISSING]
         made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
-    if problems or file is None:
-        raise ScenarioError(name, problems)
-    try:
-        layout = layout_of(made["processes"], made["sensors"])
-    except ModelError as error:
-        raise ScenarioError(name, [("", str(error))]) from error
-    _check_prior(layout, file, problems)
-    if problems:
+    if file is not None:
+        _check_choices(file, problems)
+    layout = None
+    if all(model is not None for model in made["processes"].values()):
+        sensors = {key: model for key, model in made["sensors"].items() if model is not None}
+        try:
+            layout = layout_of(made["processes"], sensors)
+        except ModelError as error:
+            problems.append(("", str(error)))
+    if file is not None and layout is not None:
+        _check_prior(layout, file, problems)
+        _check_inputs(made["processes"], file, inputs, problems)
+    if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
     for model in [*made["processes"].values(), *made["sensors"].values()]:
         announce(model.kernel)
@@ -238,6 +279,8 @@ def _make_truth(
     if isinstance(raw.get("truth"), Mapping):
         own = shared_orbit(sim.GROUP, raw["truth"], orbit)
         truth = make_kind(sim.GROUP, "truth", own, problems)
+        if truth is not None and not hasattr(truth, "simulate"):
+            problems.append(("truth.kind", f"{own['kind']!r} is an input, expected a truth"))
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():
         if isinstance(table, Mapping):

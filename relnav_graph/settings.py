@@ -202,10 +202,11 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     """The tables of a TOML file, over those of the file that it names as `base`.
 
-    Raises ScenarioError when one cannot be read.
+    above: the files that have named this one. Raises ScenarioError when one cannot be read
+    or names one of those.
     """
     try:
         raw = tomllib.loads(path.read_text("utf-8"))
@@ -217,9 +218,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     if base is None:
         return raw
     other = path.parent / str(base)
-    if not isinstance(base, str) or other.resolve() == path.resolve():
+    above = (*above, path.resolve())
+    if not isinstance(base, str) or other.resolve() in above:
         raise ScenarioError(str(path), [("base", f"found {base!r}, expected another file")])
-    return merge(read_toml(other), raw)
+    return merge(read_toml(other, above), raw)
 
 
 def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:

@@ -21,9 +21,16 @@ from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.units import unit_scale
 
-__all__ = ["Block", "Layout"]
+__all__ = ["Block", "Layout", "check_rotation"]
 
 Array = NDArray[np.float64]
+
+
+def check_rotation(where: str, matrix: Array) -> None:
+    """Raise InputError unless a (3, 3) matrix is a rotation within 1e-6."""
+    error = np.abs(matrix.T @ matrix - np.eye(3)).max()
+    if error > 1e-6 or np.linalg.det(matrix) < 0:
+        raise InputError(f"{where}: not a rotation (R^T R - I up to {error:.1e})")
 
 
 @dataclass(frozen=True)
@@ -71,9 +78,7 @@ class Block:
         if array.shape != shape or not np.isfinite(array).all():
             raise InputError(f"{self.name}: found {value!r}, expected finite numbers of {shape}")
         if self.manifold == "SO3":
-            error = np.abs(array.T @ array - np.eye(3)).max()
-            if error > 1e-6 or np.linalg.det(array) < 0:
-                raise InputError(f"{self.name}: not a rotation (R^T R - I up to {error:.1e})")
+            check_rotation(self.name, array)
         return array.reshape(-1)
 
     def local(self, a: Array, b: Array) -> Array:

@@ -9,7 +9,9 @@ __all__ = ["table"]
 
 
 def _text(value: float | None, form: str = ".4g") -> str:
-    return "-" if value is None else format(value, form)
+    if value is None:
+        return "-"
+    return format(value, form if abs(value) < 1e5 else ".2e")
 
 
 def _aligned(header: str, rows: Sequence[Sequence[str]]) -> list[str]:

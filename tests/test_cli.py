@@ -255,7 +255,7 @@ def test_degraded_estimates_end_with_3_and_are_written(capsys: Capture, tmp_path
         (["convert", EXPERIMENTS, "out"], "a raw folder needs --scenario"),
         (
             ["compare", ZHANG, *SHORT, "-e", "ekf", "--set", "evaluate=[0.9, 0.1]"],
-            "evaluate = (0.9, 0.1)",
+            "evaluate: found (0.9, 0.1), expected the earlier end first",
         ),
     ],
 )

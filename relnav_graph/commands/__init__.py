@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
-from relnav_graph.errors import InputError
-from relnav_graph.estimators import run_estimator
+from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
+from relnav_graph.estimators import GROUP, run_estimator
 from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
 from relnav_graph.io.readers import read_raw
 from relnav_graph.metrics import summary
 from relnav_graph.models import derived_quantities
+from relnav_graph.problem import Problem
 from relnav_graph.recording import Recording
+from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario
 from relnav_graph.settings import override, read_toml
 from relnav_graph.track import Track
@@ -46,11 +49,16 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     return read_dataset(folder, scenario.sensors, scenario.input_names, blocks)
 
 
+def _need_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        what = "is a file, expected a folder" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {what}")
+
+
 def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
     """A data set with its own scenario. Raises InputError on whatever is wrong."""
     show_events()
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder")
+    _need_folder(folder)
     raw = override(read_scenario_of(folder), assignments)
     scenario = make_scenario(raw, folder.name, read_settings_of(folder))
     return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
@@ -66,8 +74,7 @@ def open_pass(path: Path, seed: int | None, data: Path | None, assignments: Sequ
         scenario = load_scenario(path, assignments)
         seed = scenario.file.seed if seed is None else seed
         return Pass(scenario, scenario.simulate(seed), seed, True)
-    if not data.is_dir():
-        raise InputError(f"--data {data}: no such folder")
+    _need_folder(data)
     if is_dataset(data):
         scenario = load_scenario(path, assignments, read_settings_of(data))
         recording = _recorded(scenario, data)
@@ -107,17 +114,46 @@ def show_events() -> None:
         logger.setLevel(logging.INFO)
 
 
+def _run(kind: str, problem: Problem) -> Track:
+    """The track of one estimator; a failure costs its own row, not the others'."""
+    try:
+        return run_estimator(kind, problem)
+    except (EstimationError, GeometryError, ModelError, np.linalg.LinAlgError) as error:
+        count, layout = len(problem.epochs), problem.layout
+        return Track(
+            name=kind,
+            kind="filtered",
+            layout=layout,
+            t=problem.times,
+            x=np.full((count, layout.size), np.nan),
+            P=np.full((count, layout.dim, layout.dim), np.nan),
+            status="diverged",
+            message=f"{type(error).__name__}: {error}",
+        )
+
+
+def check_before_work(kinds: Sequence[str], out: Path | None) -> None:
+    """Refuse, before any work, estimators that do not exist and folders that cannot be.
+
+    Raises ModelError or InputError.
+    """
+    for kind in kinds:
+        find_class(GROUP, kind)
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"-o {out}: is a file, expected a folder")
+
+
 def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, Any]]:
     """Run estimators on one problem; their tracks, and the summary of section `--json`."""
     problem = run.scenario.problem(run.recording, run.seed)
     window = run.scenario.window(problem.times)
     chosen = list(dict.fromkeys(kinds or run.scenario.file.estimators))
     for kind in chosen:  # what is not compiled yet must not count as run time
-        run_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
+        _run(kind, replace(problem, epochs=problem.epochs[:3]))
     tracks = []
     for kind in chosen:
         show_progress(f"{kind}: {len(problem.epochs)} epochs ...")
-        tracks.append(run_estimator(kind, problem))
+        tracks.append(_run(kind, problem))
     found = summary(
         run.scenario.name,
         run.seed if run.simulated else None,

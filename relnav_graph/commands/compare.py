@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import estimate, open_pass, report, write_outputs
+from relnav_graph.commands import check_before_work, estimate, open_pass, report, write_outputs
 
 
 @click.command("compare")
@@ -31,6 +31,7 @@ def command(
     The pass is simulated, or recorded (--data: a data set, or a folder for the reader
     that the scenario names). All estimators get the same measurements, models and prior.
     """
+    check_before_work(kinds, out)
     run = open_pass(scenario, seed, data, assignments)
     tracks, found = estimate(run, kinds)
     if out is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import estimate, open_dataset, report, write_outputs
+from relnav_graph.commands import check_before_work, estimate, open_dataset, report, write_outputs
 
 
 @click.command("smooth")
@@ -25,6 +25,7 @@ def command(
     as_json: bool,
 ) -> int:
     """Smooth the pass recorded in DATASET, by the scenario that lies in it."""
+    check_before_work(kinds, out)
     run = open_dataset(dataset, assignments)
     tracks, found = estimate(run, kinds or ("batch",))
     write_outputs(out, run, tracks, found)

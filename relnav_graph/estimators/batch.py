@@ -19,13 +19,16 @@ from relnav_graph.chain import (
     linearize,
 )
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.ekf import filter_pass, judge, nan_tail
+from relnav_graph.estimators.ekf import ITERATIONS, filter_pass, judge, nan_tail
 from relnav_graph.estimators.gating import count_rejected, residual_weights
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Prior, Problem
 from relnav_graph.track import Status, Track
 
-__all__ = ["Batch", "Solution", "solve"]
+#: What may go wrong on the way to a solution, when the problem is in order.
+UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
+
+__all__ = ["UNSOLVED", "Batch", "Solution", "solve"]
 
 Array = NDArray[np.float64]
 
@@ -161,7 +164,7 @@ class Batch:
         x, P = nan_tail([], count, (layout.size,)), nan_tail([], count, (layout.dim, layout.dim))
         status: Status = "diverged"
         rejected = dict.fromkeys(problem.sensors, 0)
-        done = filter_pass(problem, 20)
+        done = filter_pass(problem, ITERATIONS)
         assembly, message = done.assembly, done.stopped
         if not message:
             try:
@@ -169,11 +172,12 @@ class Batch:
                 solution = solve_gated(assembly, problem, smooth(layout, done.steps)[0], weights)
                 x, P = solution.x, solution.conditionals.covariances()
                 rejected |= count_rejected(assembly, solution.weights)
-                status, message = judge(rejected, problem)
+                rows = assembly.rows_of(solution.weights > 0)
+                status, message = judge(rejected, problem, 2 * solution.chain.cost, int(rows.sum()))
                 if solution.distance > 0.1:
                     status = "degraded"
                     message = f"not converged: last step {solution.distance:.2g} sigma"
-            except EstimationError as error:
+            except UNSOLVED as error:
                 message = str(error)
         return Track(
             name=self.kind,

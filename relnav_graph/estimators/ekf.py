@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from relnav_graph.assembly import Assembly, MeasurementRows
-from relnav_graph.errors import EstimationError, GeometryError
+from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.gating import count_rejected, innovation_weights
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.state import Layout
@@ -25,8 +25,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FilterStep:
-    """One epoch of a filter: predicted and updated state, F since the epoch before (None
-    at the first), the weights of the epoch's observations and how many each sensor lost."""
+    """One epoch of a filter.
+
+    The predicted and the updated state, F since the epoch before (None at the first), the
+    weights of the epoch's observations and how many each sensor lost; nis: the squared
+    normalised innovation of the observations used, over `rows` rows.
+    """
 
     t: float
     x_predicted: Array
@@ -36,6 +40,8 @@ class FilterStep:
     P: Array
     weights: Array
     rejected: Mapping[str, int]
+    nis: float
+    rows: int
 
 
 def symmetric(P: Array) -> Array:
@@ -43,9 +49,26 @@ def symmetric(P: Array) -> Array:
     return 0.5 * (P + P.T)
 
 
+#: Gauss-Newton steps of an iterated update, at most; the same wherever one is made.
+ITERATIONS = 20
+
+
 def _cost(layout: Layout, x0: Array, whiten: Array, x: Array, rows: MeasurementRows) -> float:
     e = whiten @ layout.local(x0, x)
     return float(e @ e + rows.r @ rows.r)
+
+
+def _measured(
+    assembly: Assembly, x: Array, weights: Array, before: MeasurementRows
+) -> MeasurementRows | None:
+    """Rows at a new state; None where it is none: not finite, or so that an observation,
+    possible before, has become impossible, which must not pass for one that fits."""
+    try:
+        rows = assembly.measure(x[None], weights)
+    except ModelError:
+        return None
+    lost = (rows.status > 0) & (before.status == 0)
+    return None if lost.any() else rows
 
 
 def update(
@@ -54,8 +77,8 @@ def update(
     """Measurement update of one epoch: the state and the covariance, in Joseph's form.
 
     One iteration is the extended Kalman filter; more are Gauss-Newton steps towards the
-    maximum a posteriori (Bell and Cathey 1993), halved while the cost grows. P is in the
-    tangent of the updated state.
+    maximum a posteriori (Bell and Cathey 1993), halved while the cost grows and given up
+    when that does not help. P is in the tangent of the updated state.
     """
     layout = assembly.layout
     scale = np.sqrt(np.diag(P0))
@@ -68,24 +91,30 @@ def update(
     gain: Array = H.T
     for _ in range(iterations):
         e = layout.local(x0, x)
-        J_inverse = layout.right_jacobian(e)
-        H = rows.H @ J_inverse  # to perturbations in the tangent of x0
+        J = layout.right_jacobian(e)
+        H = rows.H @ J  # to perturbations in the tangent of x0
         S = H @ P0 @ H.T + np.eye(len(rows.r))
         gain = np.linalg.solve(S, H @ P0).T.astype(np.float64, copy=False)
-        step = J_inverse @ (-gain @ (rows.r - H @ e) - e)
+        step = J @ (-gain @ (rows.r - H @ e) - e)
         if iterations == 1:
             x_next = layout.retract(x, step)
             break
+        found = None
         for _halving in range(10):
-            x_next = layout.retract(x, step)
-            rows_next = assembly.measure(x_next[None], weights)
-            cost_next = _cost(layout, x0, whiten, x_next, rows_next)
-            if cost_next <= cost * (1 + 1e-9) + 1e-9:
-                break
+            x_try = layout.retract(x, step)
+            rows_try = _measured(assembly, x_try, weights, rows)
+            if rows_try is not None:
+                cost_try = _cost(layout, x0, whiten, x_try, rows_try)
+                if cost_try <= cost * (1 + 1e-9) + 1e-9:
+                    found = x_try, rows_try, cost_try
+                    break
             step = 0.5 * step
+        if found is None:  # no way down from here: x is the best there is
+            break
         # The length of the step in sigmas of the posterior; the next would be its square.
         length2 = float(np.sum((whiten @ step) ** 2) + np.sum((rows.H @ step) ** 2))
-        x, rows, cost = x_next, rows_next, cost_next
+        x, rows, cost = found
+        x_next = x
         if length2 < 1e-6:
             break
     left = np.eye(layout.dim) - gain @ H
@@ -127,15 +156,20 @@ class KalmanFilter:
             P = symmetric(F @ P @ F.T + all_Q[0])
         x_predicted, P_predicted = x, P
         weights = np.ones(assembly.observations)
+        nis, used = 0.0, 0
         if assembly.observations:
             rows = assembly.measure(x[None], weights)
             weights = innovation_weights(assembly, rows, P, problem.gates)
+            kept = assembly.rows_of(weights > 0)
+            r, H = rows.r[kept], rows.H[kept]
+            nis = float(r @ np.linalg.solve(H @ P @ H.T + np.eye(len(r)), r))
+            used = len(r)
             x, P = update(assembly, x, P, weights, self.iterations)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
         self.t, self.x, self.P = epoch.t, x, P
         rejected = count_rejected(assembly, weights)
-        return FilterStep(epoch.t, x_predicted, P_predicted, F, x, P, weights, rejected)
+        return FilterStep(epoch.t, x_predicted, P_predicted, F, x, P, weights, rejected, nis, used)
 
 
 def add_counts(counts: list[Mapping[str, int]], sensors: Mapping[str, object]) -> dict[str, int]:
@@ -143,15 +177,30 @@ def add_counts(counts: list[Mapping[str, int]], sensors: Mapping[str, object]) -
     return {name: sum(c.get(name, 0) for c in counts) for name in sensors}
 
 
-def judge(rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
-    """Degraded when a sensor lost more than half of its observations."""
-    seen: dict[str, int] = {}
+#: Mean squared normalised residual, per row, beyond which a track is not to be trusted.
+#: Consistent ones have 1; a lively linearisation error has a few.
+TRUSTED = 30.0
+
+
+def judge(
+    rejected: Mapping[str, int], problem: Problem, misfit: float, rows: int
+) -> tuple[Status, str]:
+    """Degraded when a sensor lost more than half of its observations, when there was none
+    to use, or when the squared residuals, `misfit` over `rows` rows, are far too large."""
+    seen = dict.fromkeys(problem.sensors, 0)
     for epoch in problem.epochs:
         for m in epoch.measurements:
-            seen[m.sensor] = seen.get(m.sensor, 0) + len(m.z)
+            seen[m.sensor] += len(m.z)
     for name, count in rejected.items():
-        if count > 0.5 * seen.get(name, 0):
-            return "degraded", f"{count} of {seen.get(name, 0)} observations of {name} rejected"
+        if count > 0.5 * seen[name]:
+            return "degraded", f"{count} of {seen[name]} observations of {name} rejected"
+    if not rows:
+        return "degraded", "not one observation was used"
+    if misfit > TRUSTED * rows:
+        return "degraded", (
+            f"squared residuals are {misfit / rows:.3g} times what the covariance says;"
+            f" expected about 1, at most {TRUSTED:g}"
+        )
     return "ok", ""
 
 
@@ -164,6 +213,13 @@ class FilterPass:
     seconds: list[float]
     stopped: str
     assembly: Assembly
+
+    def verdict(self, rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
+        """Whether to trust what the filter found, by its innovations."""
+        if self.stopped:
+            return "diverged", self.stopped
+        rows = sum(s.rows for s in self.steps)
+        return judge(rejected, problem, sum(s.nis for s in self.steps), rows)
 
 
 def filter_pass(problem: Problem, iterations: int) -> FilterPass:
@@ -204,10 +260,10 @@ class Ekf:
         """Filter the whole pass."""
         start = time.perf_counter()
         done = filter_pass(problem, self.iterations)
-        steps, seconds, stopped = done.steps, done.seconds, done.stopped
+        steps, seconds = done.steps, done.seconds
         n, size = problem.layout.dim, problem.layout.size
         rejected = add_counts([s.rejected for s in steps], problem.sensors)
-        status, message = ("diverged", stopped) if stopped else judge(rejected, problem)
+        status, message = done.verdict(rejected, problem)
         return Track(
             name=self.kind,
             kind="filtered",
@@ -215,7 +271,7 @@ class Ekf:
             t=problem.times,
             x=nan_tail([s.x for s in steps], len(problem.epochs), (size,)),
             P=nan_tail([s.P for s in steps], len(problem.epochs), (n, n)),
-            status=status,  # type: ignore[arg-type]
+            status=status,
             message=message,
             runtime_s=time.perf_counter() - start,
             step_s=np.array(seconds),
@@ -228,4 +284,4 @@ class IteratedEkf(Ekf):
     """The same filter with updates iterated to convergence."""
 
     kind: ClassVar[str] = "iekf"
-    iterations: int = field(default=20)
+    iterations: int = ITERATIONS

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from relnav_graph.assembly import Assembly
 from relnav_graph.chain import chain_factors, epoch_factor, interval_factor
 from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.batch import Solution, solve_gated
-from relnav_graph.estimators.ekf import judge, nan_tail, symmetric, update
+from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
+from relnav_graph.estimators.ekf import ITERATIONS, judge, nan_tail, symmetric, update
 from relnav_graph.estimators.gating import count_rejected, innovation_weights
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.track import Status, Track
@@ -107,7 +107,7 @@ class IncrementalSmoother:
         rows = assembly.measure(x[None], everything)
         weights = innovation_weights(assembly, rows, P, self.problem.gates)
         if weights.any():  # the reference: where an iterated filter would go
-            x, _ = update(assembly, x, P, weights, 20)
+            x, _ = update(assembly, x, P, weights, ITERATIONS)
         self.epochs.append(epoch)
         self._weights.append(weights)
         self._references.append(x)
@@ -209,8 +209,9 @@ class Isam2:
             assembly, solution = smoother.finish()
             smoothed_x, smoothed_P = solution.x, solution.conditionals.covariances()
             rejected |= count_rejected(assembly, solution.weights)
-            status, message = judge(rejected, problem)
-        except EstimationError as error:
+            rows = assembly.rows_of(solution.weights > 0)
+            status, message = judge(rejected, problem, 2 * solution.chain.cost, int(rows.sum()))
+        except UNSOLVED as error:
             message = str(error)
         smoothed = Track(
             name=f"{self.kind}_smoothed",

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from relnav_graph.estimators.ekf import (
+    ITERATIONS,
     FilterStep,
     add_counts,
     filter_pass,
-    judge,
     nan_tail,
     symmetric,
 )
@@ -57,7 +57,7 @@ class Rts:
     at what the filter knew."""
 
     kind: ClassVar[str] = "rts"
-    iterations: int = 20
+    iterations: int = ITERATIONS
 
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
@@ -67,9 +67,12 @@ class Rts:
         count, n, size = len(problem.epochs), problem.layout.dim, problem.layout.size
         x, P = nan_tail([], count, (size,)), nan_tail([], count, (n, n))
         rejected = add_counts([s.rejected for s in steps], problem.sensors)
-        status, message = ("diverged", stopped) if stopped else judge(rejected, problem)
+        status, message = done.verdict(rejected, problem)
         if not stopped:
-            x, P = smooth(problem.layout, steps)
+            try:
+                x, P = smooth(problem.layout, steps)
+            except (np.linalg.LinAlgError, ValueError) as error:
+                status, message = "diverged", f"backward pass: {error}"
         return Track(
             name=self.kind,
             kind="smoothed",
@@ -77,7 +80,7 @@ class Rts:
             t=problem.times,
             x=x,
             P=P,
-            status=status,  # type: ignore[arg-type]
+            status=status,
             message=message,
             runtime_s=time.perf_counter() - start,
             rejected=rejected,

@@ -125,6 +125,20 @@ def _input(folder: Path, name: str) -> InputSeries:
     return InputSeries(name, t_start, t_end, table.stack(channels))
 
 
+def _on_epochs(truth: Truth, times: Array) -> Truth:
+    """The truth with rows of NaN at those of `times` that it lacks."""
+    padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
+    right = np.searchsorted(padded, times)
+    apart = np.minimum(times - padded[right - 1], padded[right] - times)
+    lacking = times[apart > _SAME_TIME]
+    order = np.argsort(t := np.concatenate([truth.t, lacking]), kind="stable")
+    values = {}
+    for name, value in truth.values.items():
+        empty = np.full((len(lacking), *value.shape[1:]), np.nan)
+        values[name] = np.concatenate([value, empty])[order]
+    return Truth(t[order], values, truth.source)
+
+
 def _truth(folder: Path, blocks: Mapping[str, Block], source: str) -> Truth | None:
     """Truth of those of `blocks` that have a table, at all times that any of them has."""
     found: dict[str, tuple[Array, Array]] = {}
@@ -242,6 +256,8 @@ def read_dataset(
     times = _epochs(folder, tables.values(), measurements)
     series = {name: _input(folder, name) for name in inputs}
     truth = _truth(folder, blocks, manifest.get("truth_source", ""))
+    if truth is not None:
+        truth = _on_epochs(truth, times)
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 

@@ -46,8 +46,8 @@ class ConstantInput:
 class OwnModels:
     """Truth propagated by the scenario's processes, with their own noise.
 
-    initial: value of a block at the first epoch, SI (an attitude as a rotation vector);
-    a block without one starts at zero.
+    initial: value of a block at the first epoch, SI or with units (an attitude as a
+    rotation vector); a block without one starts at zero.
     """
 
     kind: ClassVar[str] = "own_models"
@@ -68,11 +68,13 @@ class OwnModels:
             raise InputError(f"truth.initial: no block {sorted(unknown)} in the state")
         start = np.zeros(layout.dim)
         for name, value in self.initial.items():
-            array = np.asarray(value, dtype=np.float64)
-            dim = layout.block(name).dim
-            if array.shape != (dim,):
-                raise InputError(f"truth.initial.{name}: found {value!r}, expected {dim} numbers")
-            start[layout.tangent(name)] = array
+            block = layout.block(name)
+            try:
+                start[layout.tangent(name)] = Quantity(block.unit, (block.dim,)).parse(value)
+            except InputError as error:
+                raise InputError(
+                    f"truth.initial.{name}: found {value!r}, expected {block.dim} numbers: {error}"
+                ) from error
         xs = [layout.retract(layout.identity, start)]
         for t0, t1 in pairwise(times):
             values = layout.values(xs[-1])

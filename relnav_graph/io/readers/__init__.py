@@ -39,6 +39,8 @@ def read_raw(
         raise InputError(f"{folder}: no such folder")
     read = importlib.import_module(READERS[name]).read
     known = list(inspect.signature(read).parameters)[1:]
+    if options is not None and not isinstance(options, Mapping):
+        raise InputError(f"data.options: found {options!r}, expected a table")
     unknown = [key for key in options or {} if key not in known]
     if unknown:
         raise InputError(f"reader {name!r}: unknown option {unknown[0]!r}; known are {known}")

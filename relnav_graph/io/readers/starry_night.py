@@ -27,6 +27,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
 from relnav_graph.problem import InputSeries
 from relnav_graph.recording import Recording
+from relnav_graph.state import check_rotation
 from relnav_graph.track import Truth
 
 __all__ = ["read"]
@@ -143,8 +144,10 @@ def _settings(file: _Variables, sensor: str, points: Array) -> dict[str, Any]:
     camera |= {"baseline" if key == "b" else key: file.number(key) for key in _CAMERA}
     # The file's C_c_v takes vehicle to camera components: the inverse of R_cs.
     R_sc = file.array("C_c_v")
-    if len(R_sc) != 9 or np.abs(R_sc.reshape(3, 3) @ R_sc.reshape(3, 3).T - np.eye(3)).max() > 1e-6:
-        raise InputError(f"{file.path}, variable 'C_c_v': not a rotation matrix")
+    where = f"{file.path}, variable 'C_c_v'"
+    if len(R_sc) != 9:
+        raise InputError(f"{where}: not a rotation, {len(R_sc)} numbers")
+    check_rotation(where, R_sc.reshape(3, 3))
     camera["sensor_attitude"] = R_sc.reshape(3, 3).T.tolist()
     camera["sensor_position"] = file.array("rho_v_c_v", (3, 1))[:, 0].tolist()
     camera["pixel_sigma"] = file.sigma("y_var", 4)
