@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -21,6 +22,7 @@ from relnav_graph.state import (
 from relnav_graph.units import Quantity
 
 from ._points import Pose
+from .gyro_bias import GYRO_COLUMNS
 
 Array = NDArray[np.float64]
 
@@ -65,8 +67,10 @@ class BodyVelocity(DynamicsModel):
     """
 
     kind: ClassVar[str] = "body_velocity"
-    inputs: ClassVar[tuple[str, ...]] = ("velocity", "gyro")
-    channels: ClassVar[int] = 6
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "velocity": ("vx_m_s", "vy_m_s", "vz_m_s"),
+        "gyro": GYRO_COLUMNS,
+    }
     kernel = staticmethod(kernel)
 
     velocity_density: Annotated[Array, Quantity("m/sqrt(s)", (3,), positive=True, fill=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -18,6 +19,8 @@ from relnav_graph.units import Quantity
 from ._white_noise import duration
 
 Array = NDArray[np.float64]
+#: Table of a gyro: the mean of w_ci_c over each sample.
+GYRO_COLUMNS = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 
 
 @jit
@@ -69,8 +72,7 @@ class GyroBias(DynamicsModel):
     """
 
     kind: ClassVar[str] = "gyro_bias"
-    inputs: ClassVar[tuple[str, ...]] = ("gyro",)
-    channels: ClassVar[int] = 3
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {"gyro": GYRO_COLUMNS}
     kernel = staticmethod(kernel)
 
     angle_random_walk_density: Annotated[

@@ -124,10 +124,9 @@ class Dynamics(Protocol):
     """A process model: advances some blocks over an interval, reading maybe others."""
 
     kind: ClassVar[str]
-    #: Names of the inputs (gyro, accelerometer), each a known mean over sub-intervals.
-    inputs: ClassVar[tuple[str, ...]]
-    #: Columns of all inputs together.
-    channels: ClassVar[int]
+    #: The inputs (gyro, accelerometer), each a known mean over sub-intervals: the columns
+    #: of its table, with units, by name.
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]]
 
     @property
     def kernel(self) -> Kernel:
@@ -173,17 +172,18 @@ def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:
     return np.concatenate([b.pack(v) for b, v in zip(blocks, values, strict=True)])
 
 
-def check_inputs(kind: str, channels: int, u: Any) -> Array:
-    """u (rows, 1 + channels) of an interval, C-contiguous float64.
+def check_inputs(where: str, inputs: Mapping[str, tuple[str, ...]], u: Any) -> Array:
+    """u (rows, 1 + columns of all inputs) of an interval, C-contiguous float64.
 
     Raises InputError on another shape, values that are not finite, lengths that are not
     positive.
     """
     array = np.ascontiguousarray(u, dtype=np.float64)
-    if array.ndim != 2 or not len(array) or array.shape[1] != 1 + channels:
-        raise InputError(f"{kind}: found u of {array.shape}, expected (rows, {1 + channels})")
+    width = 1 + sum(len(columns) for columns in inputs.values())
+    if array.ndim != 2 or not len(array) or array.shape[1] != width:
+        raise InputError(f"{where}: found u of {array.shape}, expected (rows, {width})")
     if not np.isfinite(array).all() or (array[:, 0] <= 0).any():
-        raise InputError(f"{kind}: found u = {array}, expected finite values and lengths > 0")
+        raise InputError(f"{where}: found u = {array}, expected finite values and lengths > 0")
     return array
 
 
@@ -278,8 +278,7 @@ class DynamicsModel:
     """Mixin: the methods of `Dynamics` that follow from the kernel. Checks the fields."""
 
     kind: ClassVar[str]
-    inputs: ClassVar[tuple[str, ...]] = ()
-    channels: ClassVar[int] = 0
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     kernel: ClassVar[Kernel]
     failures: ClassVar[Mapping[int, str]] = {}
 
@@ -315,7 +314,7 @@ class DynamicsModel:
         size, width = sum(b.size for b in self.advances), n + sum(b.dim for b in self.reads)
         outputs = _Outputs(self.kind, x_next=(size,), F=(n, width), Q=(n, n))
         x_next, F, Q = outputs.arrays
-        u = check_inputs(self.kind, self.channels, u)
+        u = check_inputs(self.kind, self.inputs, u)
         status = self.kernel(self.constants(), float(t), u, packed, x_next, F, Q)
         if status:
             raise GeometryError(f"{self.kind}: from t = {t} s: {self.failure(status)}")

@@ -63,9 +63,9 @@ class Scenario:
         return {name: o.gate for name, o in self.options.items() if o.gate is not None}
 
     @property
-    def input_names(self) -> list[str]:
-        """Inputs that the processes need."""
-        return sorted({i for p in self.processes.values() for i in p.inputs})
+    def input_columns(self) -> dict[str, tuple[str, ...]]:
+        """Inputs that the processes need: the columns of each, by name."""
+        return {k: v for p in self.processes.values() for k, v in p.inputs.items()}
 
     def window(self, times: Array) -> tuple[float, float] | None:
         """The scored part of a pass at `times` (N,), s, as fractions of it; None for all."""

@@ -56,12 +56,15 @@ def make_recording(epochs: int = 30) -> Recording:
     return Recording(t, tuple(measurements), {"gyro": gyro}, Truth(t, values, "made up"), settings)
 
 
+INPUTS = {"gyro": ("wx_rad_s", "wy_rad_s", "wz_rad_s")}
+
+
 def read(folder: Path) -> Recording:
-    return read_dataset(folder, SENSORS, ["gyro"], BLOCKS)
+    return read_dataset(folder, SENSORS, INPUTS, BLOCKS)
 
 
 def write(folder: Path, tables: Literal["csv", "parquet"] = "csv") -> Path:
-    write_dataset(folder, SCENARIO, make_recording(), SENSORS, BLOCKS, tables)
+    write_dataset(folder, SCENARIO, make_recording(), SENSORS, INPUTS, BLOCKS, tables)
     return folder
 
 
@@ -184,9 +187,9 @@ def test_a_faulty_table_is_refused_with_its_place(tmp_path: Path, fault: str) ->
 def test_missing_and_ambiguous_tables(tmp_path: Path) -> None:
     by_hand(tmp_path)
     with pytest.raises(InputError, match=r"no table stars\.csv or stars\.parquet; found beacons"):
-        read_dataset(tmp_path, {"stars": SENSORS["range"]}, [], {})
-    with pytest.raises(InputError, match="unknown input 'thrust'; known are gyro, velocity"):
-        read_dataset(tmp_path, SENSORS, ["thrust"], {})
+        read_dataset(tmp_path, {"stars": SENSORS["range"]}, {}, {})
+    with pytest.raises(InputError, match="thrust"):
+        read_dataset(tmp_path, SENSORS, {"thrust": ("x_n",)}, {})
     (tmp_path / "range.parquet").touch()
     with pytest.raises(InputError, match=r"both range\.csv and range\.parquet"):
         read(tmp_path)
@@ -246,7 +249,7 @@ def test_a_recording_that_no_table_can_hold_is_refused(tmp_path: Path) -> None:
 
     def attempt(sensors: dict[str, Any], rec: Recording, message: str) -> None:
         with pytest.raises(InputError, match=message):
-            write_dataset(tmp_path / "set", SCENARIO, rec, sensors, BLOCKS)
+            write_dataset(tmp_path / "set", SCENARIO, rec, sensors, INPUTS, BLOCKS)
         assert not list(tmp_path.iterdir())
 
     attempt({"range": SENSORS["range"]}, recording, "unknown sensor 'beacons'")

@@ -46,7 +46,7 @@ def is_dataset(folder: Path) -> bool:
 def _recorded(scenario: Scenario, folder: Path) -> Recording:
     """The recording in a data set; a sensor's table is read by the scenario's model."""
     blocks = {b.name: b for b in scenario.layout}
-    return read_dataset(folder, scenario.sensors, scenario.input_names, blocks)
+    return read_dataset(folder, scenario.sensors, scenario.input_columns, blocks)
 
 
 def _need_folder(folder: Path) -> None:

@@ -43,5 +43,6 @@ def command(
         raise InputError(f"{source}: found nothing, expected a results file or a folder")
     blocks = {b.name: b for b in run.scenario.layout}
     tables: Format = "parquet" if parquet else "csv"
-    write_dataset(target, run.scenario.raw, run.recording, run.scenario.sensors, blocks, tables)
+    s = run.scenario
+    write_dataset(target, s.raw, run.recording, s.sensors, s.input_columns, blocks, tables)
     show_progress(f"{target}: {len(run.recording.times)} epochs")

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from relnav_graph.commands import show_events, show_progress
-from relnav_graph.io.dataset import write_dataset
+from relnav_graph.io.dataset import Format, write_dataset
 from relnav_graph.scenario import load_scenario
 
 
@@ -27,5 +27,6 @@ def command(
     recording = loaded.simulate(seed)
     blocks = {b.name: b for b in loaded.layout}
     raw = {**loaded.raw, "seed": seed}
-    write_dataset(out, raw, recording, loaded.sensors, blocks, "parquet" if parquet else "csv")
+    tables: Format = "parquet" if parquet else "csv"
+    write_dataset(out, raw, recording, loaded.sensors, loaded.input_columns, blocks, tables)
     show_progress(f"{out}: {len(recording.times)} epochs, seed {seed}")

@@ -5,7 +5,7 @@
     scenario.toml         the scenario
     epochs.csv            t_s; optional, else the times of the measurements
     <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s
-    <input>.csv           t_start_s, t_end_s, the columns of `INPUT_COLUMNS`
+    <input>.csv           t_start_s, t_end_s, the columns that its process declares
     truth_<block>.csv     t_s, the columns of `component_columns`; optional
     dataset.toml          format, settings that the data bring, digests; optional
 
@@ -49,7 +49,6 @@ from relnav_graph.state import Block
 from relnav_graph.track import Truth
 
 __all__ = [
-    "INPUT_COLUMNS",
     "Format",
     "read_dataset",
     "read_scenario_of",
@@ -59,12 +58,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
-
-#: Channels of the known inputs: the rate w_ci_c and a velocity, both in chaser axes.
-INPUT_COLUMNS: dict[str, tuple[str, ...]] = {
-    "gyro": ("wx_rad_s", "wy_rad_s", "wz_rad_s"),
-    "velocity": ("vx_m_s", "vy_m_s", "vz_m_s"),
-}
 
 _FORMAT = 1
 #: Measurements this close to an epoch, s, belong to it (as in `problem.make_epochs`).
@@ -103,14 +96,8 @@ def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
     ]
 
 
-def _channels(name: str) -> tuple[str, ...]:
-    if name not in INPUT_COLUMNS:
-        raise InputError(f"unknown input {name!r}; known are {', '.join(INPUT_COLUMNS)}")
-    return INPUT_COLUMNS[name]
-
-
-def _input(folder: Path, name: str) -> InputSeries:
-    channels, table = _channels(name), _need_table(folder, name)
+def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
+    table = _need_table(folder, name)
     if "t_s" in table.columns:
         table.require(("t_s", *channels))
         table.increasing("t_s")
@@ -236,10 +223,12 @@ def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measur
 def read_dataset(
     folder: str | os.PathLike[str],
     sensors: Mapping[str, Sensor],
-    inputs: Iterable[str],
+    inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
 ) -> Recording:
-    """The recording in a folder: tables of the named sensors and inputs, truth of `blocks`.
+    """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
+
+    inputs: columns of each input, by name.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -254,7 +243,7 @@ def read_dataset(
     measurements = [m for n, s in sensors.items() for m in _measurements(tables[n], n, s)]
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements)
-    series = {name: _input(folder, name) for name in inputs}
+    series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
     truth = _truth(folder, blocks, manifest.get("truth_source", ""))
     if truth is not None:
         truth = _on_epochs(truth, times)
@@ -293,7 +282,10 @@ def _truth_columns(block: Block, truth: Truth) -> Columns:
 
 
 def _tables(
-    recording: Recording, sensors: Mapping[str, Sensor], blocks: Mapping[str, Block]
+    recording: Recording,
+    sensors: Mapping[str, Sensor],
+    inputs: Mapping[str, tuple[str, ...]],
+    blocks: Mapping[str, Block],
 ) -> dict[str, Columns]:
     """All tables of a data set, by name."""
     for m in recording.measurements:
@@ -303,7 +295,9 @@ def _tables(
     for name, sensor in sensors.items():
         tables.append((name, _sensor_columns(name, sensor, recording.measurements)))
     for name, series in recording.inputs.items():
-        channels = dict(zip(_channels(name), series.values.T, strict=True))
+        if name not in inputs:
+            raise InputError(f"unknown input {name!r}; known are {', '.join(inputs)}")
+        channels = dict(zip(inputs[name], series.values.T, strict=True))
         tables.append((name, {"t_start_s": series.t_start, "t_end_s": series.t_end, **channels}))
     truth = recording.truth or Truth(np.zeros(0), {})
     for name in truth.values:
@@ -330,6 +324,7 @@ def write_dataset(
     scenario: Mapping[str, Any],
     recording: Recording,
     sensors: Mapping[str, Sensor],
+    inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
     tables: Format = "csv",
 ) -> None:
@@ -343,7 +338,7 @@ def write_dataset(
     folder = Path(folder)
     if folder.is_dir() and any(folder.iterdir()) and not _is_dataset(folder):
         raise InputError(f"{folder}: holds files that are not of a data set; name another folder")
-    contents = _tables(recording, sensors, blocks)
+    contents = _tables(recording, sensors, inputs, blocks)
     settings = dict(recording.settings)
     with atomic(folder) as staged:
         staged.mkdir()

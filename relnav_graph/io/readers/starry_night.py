@@ -151,8 +151,7 @@ def _settings(file: _Variables, sensor: str, points: Array) -> dict[str, Any]:
     camera["sensor_attitude"] = R_sc.reshape(3, 3).T.tolist()
     camera["sensor_position"] = file.array("rho_v_c_v", (3, 1))[:, 0].tolist()
     camera["pixel_sigma"] = file.sigma("y_var", 4)
-    noise = {"gyro_sigma": file.sigma("w_var", 3), "velocity_sigma": file.sigma("v_var", 3)}
-    return {"sensors": {sensor: camera}, "data_noise": noise}
+    return {"sensors": {sensor: camera}}
 
 
 def read(folder: Path, sensor: str = "camera", frames: Sequence[int] | None = None) -> Recording:
