@@ -80,9 +80,8 @@ def _digest(folder: Path) -> str:
     while (top.parent / "__init__.py").is_file():
         top = top.parent
     if top == Path(__file__).parent:
-        paths = [top / f"{name}.py" for name in _LOWER_FLOORS] + list(folder.glob("*.py")) * (
-            folder != top
-        )
+        own = [] if folder == top else list(folder.glob("*.py"))
+        paths = [top / f"{name}.py" for name in _LOWER_FLOORS] + own
     else:
         paths = list(top.glob("*.py") if loose else top.rglob("*.py"))
     sha = hashlib.sha256()

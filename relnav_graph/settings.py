@@ -50,6 +50,9 @@ class ScenarioError(InputError):
 
     def __init__(self, source: str, problems: Problems) -> None:
         self.problems = problems
+        if [path for path, _ in problems] == [""]:  # of the file as a whole: one line
+            super().__init__(f"{source}: {problems[0][1]}")
+            return
         lines = "\n".join(f"  {path or '(file)'}: {message}" for path, message in problems)
         count = "1 error" if len(problems) == 1 else f"{len(problems)} errors"
         super().__init__(f"{source}: {count}\n{lines}")

@@ -30,7 +30,11 @@ __all__ = ["Pass", "estimate", "is_dataset", "open_pass", "show_progress", "writ
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """A scenario with the recording it is run on; seed None when the data are recorded."""
+    """A scenario with the recording it is run on.
+
+    seed: root of what is drawn, the prior's mean at least; simulated: whether the recording
+    was drawn from it too.
+    """
 
     scenario: Scenario
     recording: Recording

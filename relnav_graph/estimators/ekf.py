@@ -123,6 +123,13 @@ def update(
     return x_next, symmetric(J @ P @ J.T)
 
 
+def predict(assembly: Assembly, x: Array, P: Array) -> tuple[Array, Array, Array, Array]:
+    """State (size,) and covariance (n, n) at the end of the assembly's one interval, with
+    its F and Q (n, n). Raises GeometryError, ModelError."""
+    x_next, F, Q = assembly.transition(x[None])
+    return x_next[0], symmetric(F[0] @ P @ F[0].T + Q[0]), F[0], Q[0]
+
+
 class KalmanFilter:
     """The filter's machinery: one `step` per epoch."""
 
@@ -151,9 +158,7 @@ class KalmanFilter:
             )
         x, P, F = self.x, self.P, None
         if self.t is not None:
-            x_next, all_F, all_Q = assembly.transition(x[None])
-            x, F = x_next[0], all_F[0]
-            P = symmetric(F @ P @ F.T + all_Q[0])
+            x, P, F, _ = predict(assembly, x, P)
         x_predicted, P_predicted = x, P
         weights = np.ones(assembly.observations)
         nis, used = 0.0, 0

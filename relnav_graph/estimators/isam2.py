@@ -24,7 +24,7 @@ from relnav_graph.assembly import Assembly
 from relnav_graph.chain import chain_factors, epoch_factor, interval_factor
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, judge, nan_tail, symmetric, update
+from relnav_graph.estimators.ekf import ITERATIONS, judge, nan_tail, predict, symmetric, update
 from relnav_graph.estimators.gating import count_rejected, innovation_weights
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.track import Status, Track
@@ -100,9 +100,8 @@ class IncrementalSmoother:
             assembly = self._assemble([epoch], t_before)
         x, P, whiten = self.x, self.P, np.zeros((0, 0, 0))
         if t_before is not None:
-            x_next, F, Q = assembly.transition(x[None])
-            whiten = assembly.whitening(Q)
-            x, P = x_next[0], symmetric(F[0] @ P @ F[0].T + Q[0])
+            x, P, _, Q = predict(assembly, x, P)
+            whiten = assembly.whitening(Q[None])
         everything = np.ones(assembly.observations)
         rows = assembly.measure(x[None], everything)
         weights = innovation_weights(assembly, rows, P, self.problem.gates)

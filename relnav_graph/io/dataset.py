@@ -21,7 +21,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -45,6 +44,7 @@ from relnav_graph.io.columns import (
 from relnav_graph.models import Measurement, Sensor
 from relnav_graph.problem import InputSeries
 from relnav_graph.recording import Recording
+from relnav_graph.settings import read_toml
 from relnav_graph.state import Block
 from relnav_graph.track import Truth
 
@@ -151,15 +151,6 @@ def _truth(folder: Path, blocks: Mapping[str, Block], source: str) -> Truth | No
     return Truth(times, values, source)
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
-
-
 def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
@@ -169,7 +160,7 @@ def _manifest(folder: Path) -> dict[str, Any]:
     path = folder / "dataset.toml"
     if not path.exists():
         return {}
-    manifest = _read_toml(path)
+    manifest = read_toml(path)
     if manifest.get("format") != _FORMAT:
         raise InputError(f"{path}: found format {manifest.get('format')}, expected {_FORMAT}")
     settings, digests = manifest.get("settings", {}), manifest.get("sha256")
@@ -190,7 +181,7 @@ def _manifest(folder: Path) -> dict[str, Any]:
 
 def read_scenario_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
     """The scenario of a data set, as tables. Raises InputError without a valid one."""
-    return _read_toml(Path(folder) / "scenario.toml")
+    return read_toml(Path(folder) / "scenario.toml")
 
 
 def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
@@ -315,7 +306,7 @@ def _is_dataset(folder: Path) -> bool:
     path = folder / "dataset.toml"
     if not path.is_file():
         return False
-    own = {"dataset.toml", "scenario.toml", *_read_toml(path).get("sha256", {})}
+    own = {"dataset.toml", "scenario.toml", *read_toml(path).get("sha256", {})}
     return all(p.name in own for p in folder.iterdir())
 
 
