@@ -275,6 +275,17 @@ class Assembly:
         rows each of them has."""
         return [(s.name, s.part, s.sensor.rows) for s in self._sensors]
 
+    @property
+    def sensor_rows(self) -> dict[str, NDArray[np.bool_]]:
+        """Which of all rows are of each sensor."""
+        chosen = np.zeros(self.observations, dtype=bool)
+        found = {}
+        for s in self._sensors:
+            chosen[s.part] = True
+            found[s.name] = self.rows_of(chosen)
+            chosen[s.part] = False
+        return found
+
     @cached_property
     def observation_rows(self) -> Indices:
         """First row of each observation and the row after its last, (observations, 2)."""

@@ -11,11 +11,37 @@ from numpy.typing import NDArray
 
 from relnav_graph.state import Layout
 
-__all__ = ["Kind", "Status", "Track", "Truth"]
+__all__ = ["Innovations", "Kind", "Status", "Track", "Truth"]
 
 Array = NDArray[np.float64]
 Kind = Literal["filtered", "fixed-lag", "smoothed"]
 Status = Literal["ok", "degraded", "diverged"]
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """What a filter did not foresee of one sensor, whitened: v = L^-1 (prediction minus
+    measured) with L L^T = H P H^T + R, so that a consistent filter has v ~ N(0, I), white
+    in time.
+
+    t (m,): epochs with observations that were used, s; v: their rows, one epoch after the
+    other; offsets (m + 1,): where each epoch's begin in v.
+    """
+
+    t: Array
+    v: Array
+    offsets: NDArray[np.int64]
+
+    @property
+    def rows(self) -> NDArray[np.int64]:
+        """Rows of each epoch (m,)."""
+        return np.diff(self.offsets)
+
+    @property
+    def nis(self) -> Array:
+        """Normalised innovation squared of each epoch (m,)."""
+        total = np.concatenate(([0.0], np.cumsum(self.v**2)))
+        return np.diff(total[self.offsets])
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +52,8 @@ class Track:
     (fixed-lag), everything (smoothed). t (N,) s; x (N, size) stored vectors; P (N, dim,
     dim) covariances of the right perturbation, in the layout's order. status and message:
     whether to trust it; rejected: observations not used, by sensor; step_s: time of each
-    online step, s; smoothed: for an online estimator, the track that it ends with.
+    online step, s; smoothed: for an online estimator, the track that it ends with;
+    innovations: of a filter, by sensor.
     """
 
     name: str
@@ -41,6 +68,7 @@ class Track:
     step_s: Array | None = None
     rejected: Mapping[str, int] = field(default_factory=dict)
     smoothed: Track | None = None
+    innovations: Mapping[str, Innovations] = field(default_factory=dict)
 
     def value(self, name: str) -> Array:
         """Values of one block, (N, 3, 3) for an attitude, (N, dim) otherwise."""

@@ -16,7 +16,7 @@ from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.gating import count_rejected, innovation_weights
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.state import Layout
-from relnav_graph.track import Status, Track
+from relnav_graph.track import Innovations, Status, Track
 
 __all__ = ["Ekf", "FilterStep", "IteratedEkf", "KalmanFilter", "update"]
 
@@ -29,7 +29,8 @@ class FilterStep:
 
     The predicted and the updated state, F since the epoch before (None at the first), the
     weights of the epoch's observations and how many each sensor lost; nis: the squared
-    normalised innovation of the observations used, over `rows` rows.
+    normalised innovation of the observations used, over `rows` rows; innovations: of each
+    sensor, whitened on its own.
     """
 
     t: float
@@ -42,6 +43,7 @@ class FilterStep:
     rejected: Mapping[str, int]
     nis: float
     rows: int
+    innovations: Mapping[str, Array]
 
 
 def symmetric(P: Array) -> Array:
@@ -130,6 +132,12 @@ def predict(assembly: Assembly, x: Array, P: Array) -> tuple[Array, Array, Array
     return x_next[0], symmetric(F[0] @ P @ F[0].T + Q[0]), F[0], Q[0]
 
 
+def _whitened(S: Array, r: Array) -> Array:
+    """L^-1 r with L L^T = S. Raises LinAlgError."""
+    white: Array = solve_triangular(np.linalg.cholesky(S), r, lower=True)
+    return white
+
+
 class KalmanFilter:
     """The filter's machinery: one `step` per epoch."""
 
@@ -161,20 +169,28 @@ class KalmanFilter:
             x, P, F, _ = predict(assembly, x, P)
         x_predicted, P_predicted = x, P
         weights = np.ones(assembly.observations)
-        nis, used = 0.0, 0
+        nis, used, innovations = 0.0, 0, dict[str, Array]()
         if assembly.observations:
             rows = assembly.measure(x[None], weights)
             weights = innovation_weights(assembly, rows, P, problem.gates)
             kept = assembly.rows_of(weights > 0)
             r, H = rows.r[kept], rows.H[kept]
-            nis = float(r @ np.linalg.solve(H @ P @ H.T + np.eye(len(r)), r))
+            S = H @ P @ H.T + np.eye(len(r))
+            nis = float(r @ np.linalg.solve(S, r))
             used = len(r)
+            for name, part in assembly.sensor_rows.items():
+                own = part[kept]
+                if own.any():
+                    innovations[name] = _whitened(S[np.ix_(own, own)], r[own])
             x, P = update(assembly, x, P, weights, self.iterations)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
         self.t, self.x, self.P = epoch.t, x, P
         rejected = count_rejected(assembly, weights)
-        return FilterStep(epoch.t, x_predicted, P_predicted, F, x, P, weights, rejected, nis, used)
+        return FilterStep(
+            *(epoch.t, x_predicted, P_predicted, F, x, P, weights, rejected, nis, used),
+            innovations,
+        )
 
 
 def add_counts(counts: list[Mapping[str, int]], sensors: Mapping[str, object]) -> dict[str, int]:
@@ -225,6 +241,17 @@ class FilterPass:
             return "diverged", self.stopped
         rows = sum(s.rows for s in self.steps)
         return judge(rejected, problem, sum(s.nis for s in self.steps), rows)
+
+    def innovations(self, problem: Problem) -> dict[str, Innovations]:
+        """Those of each sensor that saw anything."""
+        found = {}
+        for name in problem.sensors:
+            seen = [(s.t, s.innovations[name]) for s in self.steps if name in s.innovations]
+            if seen:
+                t, v = np.array([t for t, _ in seen]), np.concatenate([v for _, v in seen])
+                offsets = np.cumsum([0, *(len(v) for _, v in seen)])
+                found[name] = Innovations(t, v, offsets)
+        return found
 
 
 def filter_pass(problem: Problem, iterations: int) -> FilterPass:
@@ -281,6 +308,7 @@ class Ekf:
             runtime_s=time.perf_counter() - start,
             step_s=np.array(seconds),
             rejected=rejected,
+            innovations=done.innovations(problem),
         )
 
 
