@@ -137,6 +137,7 @@ class EulerRotation(DynamicsModel):
     """
 
     kind: ClassVar[str] = "euler_rotation"
+    noises: ClassVar[tuple[str, ...]] = ("torque_density", "torque_density", "inertia_density")
     kernel = staticmethod(kernel)
 
     torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
