@@ -109,8 +109,8 @@ def _state_score(s: StateErrors) -> StateScore:
     scale = s.block.table_scale
     squared = (s.e**2).sum(axis=1)
     known = finite(s.e, s.P).all()
-    sigmas = np.abs(s.e) / np.sqrt(np.diagonal(s.P, axis1=1, axis2=2))
-    inside = [_number((sigmas <= m).mean()) if known else None for m in (1, 2, 3)]
+    size, sigma = np.abs(s.e), np.sqrt(np.diagonal(s.P, axis1=1, axis2=2))
+    inside = [_number((size <= m * sigma).mean()) if known else None for m in (1, 2, 3)]
     anees, freedoms = mean_nees(s.e, s.P)
     return StateScore(
         unit=s.block.table_unit,
