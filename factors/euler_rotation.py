@@ -153,6 +153,18 @@ class EulerRotation(DynamicsModel):
         own = [self.torque_density, self.inertia_density, self.max_step]
         return np.concatenate([orbit_array(self.orbit), own])
 
+    def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
+        """What a steady spin hides: the phase, and the inertia ratios."""
+        w, none, no_ratio = x[1][:, None], np.zeros((3, 1)), np.zeros((2, 1))
+        spin = w / max(float(np.linalg.norm(w)), 1e-12)
+        first, second = np.eye(2)[:, :1], np.eye(2)[:, 1:]
+        return {
+            "rotation of the target about its spin axis": (spin, none, no_ratio),
+            "rate of the target along its spin axis": (none, spin, no_ratio),
+            "inertia ratio k1": (none, none, first),
+            "inertia ratio k2": (none, none, second),
+        }
+
 
 @dataclass(frozen=True)
 class InertiaRatios:

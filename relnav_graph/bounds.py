@@ -26,11 +26,10 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class Bounds:
     """Tracks whose covariances are the bounds, at the trajectory: of every filter, and of
-    every smoother of the whole pass; dynamics alone: without any measurement."""
+    every smoother of the whole pass."""
 
     filtered: Track
     smoothed: Track
-    dynamics_alone: Array
 
 
 def true_trajectory(problem: Problem, truth: Truth | None) -> Array:
@@ -86,10 +85,7 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     chain = Chain(prior, process, rows, assembly.row_offsets, weights)
     smoothed = eliminate(chain_factors(chain), len(x), layout.dim).covariances()
     filtered = _filtered(problem.prior.P, F, Q, rows, assembly.row_offsets)
-    unseen = MeasurementRows(rows.r[:0], rows.H[:0], rows.status[:0])
-    alone = _filtered(problem.prior.P, F, Q, unseen, np.zeros_like(assembly.row_offsets))
     return Bounds(
         Track("filter_bound", "filtered", layout, problem.times, x, filtered),
         Track("smoother_bound", "smoothed", layout, problem.times, x, smoothed),
-        alone,
     )

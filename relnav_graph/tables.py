@@ -136,3 +136,55 @@ def study_table(summary: Mapping[str, Any]) -> str:
             lines += ["", title]
             lines += [f"  {r['message']}\n    {r['command']}" for r in summary[key]]
     return "\n".join(lines) + "\n"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    """One number where all are the same, else all of them."""
+    texts = list(dict.fromkeys(f"{v:.4g}" for v in values))
+    return texts[0] if len(texts) == 1 else "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+
+
+def _sensor_lines(s: Mapping[str, Any]) -> list[str]:
+    lines = [f"  {s['name']} ({s['kind']}): {s['meaning']}"]
+    seen = f"{s['observations']} observations in {s['epochs']} epochs"
+    noise = f"; sigma {_numbers(s['sigma'])} (SI) per residual row" if "sigma" in s else ""
+    return [*lines, f"      reads {', '.join(s['reads'])}; {seen}{noise}"]
+
+
+def _process_lines(p: Mapping[str, Any]) -> list[str]:
+    driven = f", driven by {', '.join(p['inputs'])}" if p["inputs"] else ""
+    lines = [f"  {p['name']} ({p['kind']}{driven}): {p['meaning']}"]
+    for n in p["noise"]:
+        noise = f"{_numbers(n['sigma'])} {n['unit'] if n['unit'] != '1' else ''}".rstrip()
+        lines.append(f"      {n['block']}: sigma {noise} over {p['interval_s']:g} s")
+    return lines
+
+
+def explain_table(found: Mapping[str, Any]) -> str:
+    """The object of ``relnav explain --json`` as text."""
+    lines = [f"{found['scenario']}: {found['epochs']} epochs", "", "Sensors"]
+    for s in found["sensors"]:
+        lines += _sensor_lines(s)
+    lines += ["", "Processes: noise after discretisation, 1-sigma per axis"]
+    for p in found["processes"]:
+        lines += _process_lines(p)
+    states = [
+        [f"{name} [{s['unit']}]", *(_text(s[k]) for k in ("prior", "filter", "smoother"))]
+        for name, s in found["states"].items()
+    ]
+    lines += ["", "Predicted 1-sigma (norm over the axes, root mean square over the pass)"]
+    lines += _aligned("state |    prior|   filter| smoother", states)
+    directions = [
+        [
+            f"{d['direction']} [{d['unit']}]",
+            *(_text(d.get(k)) for k in ("prior", "filter_last", "smoother_middle")),
+        ]
+        for d in found["directions"]
+    ]
+    if directions:
+        lines += ["", "Predicted 1-sigma along directions that the models name"]
+        lines += _aligned("direction |    prior|filter, last|smoother, middle", directions)
+    lines += ["", "Weak directions of the first epoch (smoothed sigma in parts of the prior's)"]
+    weak = [[w["direction"], w["verdict"], f"{w['kept']:.2f}"] for w in found["weak"]]
+    lines += _aligned("direction |verdict |kept", weak) if weak else ["  none"]
+    return "\n".join(lines) + "\n"
