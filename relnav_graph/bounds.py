@@ -38,9 +38,11 @@ def true_trajectory(problem: Problem, truth: Truth | None) -> Array:
     Raises InputError when truth does not know all of them.
     """
     layout, times = problem.layout, problem.times
-    missing = [b.name for b in layout if truth is None or b.name not in truth.values]
-    if truth is None or missing:
-        raise InputError(f"the truth does not know {missing or 'anything'}")
+    if truth is None:
+        raise InputError("there is no truth")
+    missing = [b.name for b in layout if b.name not in truth.values]
+    if missing:
+        raise InputError(f"the truth does not know {missing}")
     k = np.clip(np.searchsorted(truth.t, times - 1e-6), 0, len(truth.t) - 1)
     if np.abs(truth.t[k] - times).max() > 1e-6:
         raise InputError("the truth does not know every epoch")
