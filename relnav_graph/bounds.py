@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly, MeasurementRows, inverse_cholesky
-from relnav_graph.chain import Chain, PriorRows, chain_factors, eliminate
 from relnav_graph.errors import InputError
 from relnav_graph.problem import Problem
+from relnav_graph.sweep import Anchor, linearize
 from relnav_graph.track import Track, Truth
 
 __all__ = ["Bounds", "bounds", "true_trajectory"]
@@ -82,10 +82,11 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     weights = np.ones(assembly.observations)
     rows = assembly.measure(x, weights)
     _, F, Q = assembly.transition(x[:-1])
-    prior = PriorRows(np.zeros(layout.dim), inverse_cholesky("the prior", problem.prior.P))
-    process = assembly.process(x, assembly.whitening(Q))
-    chain = Chain(prior, process, rows, assembly.row_offsets, weights)
-    smoothed = eliminate(chain_factors(chain), len(x), layout.dim).covariances()
+    # The prior's covariance about the trajectory itself, whatever mean was drawn.
+    whiten = inverse_cholesky("the prior", problem.prior.P)
+    anchor = Anchor(x[0], whiten, np.zeros(layout.dim))
+    system = linearize(assembly, anchor, x, assembly.whitening(Q), weights)
+    smoothed = system.conditionals.covariances()
     filtered = _filtered(problem.prior.P, F, Q, rows, assembly.row_offsets)
     return Bounds(
         Track("filter_bound", "filtered", layout, problem.times, x, filtered),

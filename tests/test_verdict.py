@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from passes import ZHANG, linear_problem, toy_measurements, toy_problem
 
 from relnav_graph.assembly import Assembly
-from relnav_graph.chain import chain_factors, linearize
+from relnav_graph.chain import chain_factors, chain_rows
 from relnav_graph.components import estimate_factors, noise_residuals
 from relnav_graph.estimators import run_estimator
 from relnav_graph.problem import Problem
@@ -20,6 +20,7 @@ from relnav_graph.study.record import Record
 from relnav_graph.study.runs import StudySpec, run_record
 from relnav_graph.study.summary import summarize
 from relnav_graph.study.verdict import verdict
+from relnav_graph.sweep import anchor_of
 
 Array = NDArray[np.float64]
 GYRO = "processes.chaser.angle_random_walk_density"
@@ -29,18 +30,18 @@ def _dense(problem: Problem, x: Array) -> tuple[Array, Array, list[str]]:
     """Whitened rows A d + e of a pass, from its factors, and the group of each row."""
     assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
-    chain = linearize(assembly, problem.prior, x, whiten, np.ones(assembly.observations))
+    ones = np.ones(assembly.observations)
+    chain = chain_factors(chain_rows(assembly, anchor_of(problem.prior), x, whiten, ones))
     n, rows, errors, groups = problem.layout.dim, [], [], []
-    of_row = np.empty(int(assembly.row_offsets[-1]), dtype=object)
-    for name, mask in assembly.sensor_rows.items():
-        of_row[mask] = f"sensors.{name}"
+    sensors = np.repeat(assembly.sensor_of, assembly.heights)
+    of_row = [f"sensors.{assembly.sensor_names[i]}" for i in sensors]
     of_state = {
         i: f"processes.{name}.{(p.noises or tuple(b.name for b in p.advances))[j]}"
         for name, p in problem.processes.items()
         for j, b in enumerate(p.advances)
         for i in range(problem.layout.tangent(b.name).start, problem.layout.tangent(b.name).stop)
     }
-    for count, factor in enumerate(chain_factors(chain)):
+    for count, factor in enumerate(chain):
         A, b = factor.jacobian()
         full = np.zeros((len(b), n * len(x)))
         keys = list(factor.keys())
