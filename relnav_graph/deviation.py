@@ -186,10 +186,10 @@ def nees(e: Array, P: Array) -> tuple[Array, NDArray[np.int64]]:
     return value, rank
 
 
-def chi2_band(n: int, runs: int = 1) -> Band:
-    """95 % band of ANEES for n freedoms and independent runs: chi2(n N) / (n N)."""
-    freedoms = n * runs
-    low, high = chdtri(freedoms, 0.975), chdtri(freedoms, 0.025)  # of the upper tail
+def chi2_band(n: int, runs: int = 1, level: float = 0.95) -> Band:
+    """Band of ANEES for n freedoms and independent runs: chi2(n N) / (n N)."""
+    freedoms, tail = n * runs, (1 - level) / 2
+    low, high = chdtri(freedoms, 1 - tail), chdtri(freedoms, tail)  # of the upper tail
     return float(low) / freedoms, float(high) / freedoms
 
 
