@@ -89,9 +89,11 @@ def typed_factors(p: Pass, k: int) -> gtsam.NonlinearFactorGraph:
         for i, block in enumerate(q.layout):
             rows, value = q.layout.tangent(block.name), q.layout.value(q.prior.x, block.name)
             model = gtsam.noiseModel.Gaussian.Covariance(q.prior.P[rows, rows])
-            so3 = block.manifold == "SO3"
-            prior = gtsam.PriorFactorRot3 if so3 else gtsam.PriorFactorVector
-            out.add(prior(key_of(p, 0, i), gtsam.Rot3(value) if so3 else value, model))
+            key = key_of(p, 0, i)
+            if block.manifold == "SO3":
+                out.add(gtsam.PriorFactorRot3(key, gtsam.Rot3(value), model))
+            else:
+                out.add(gtsam.PriorFactorVector(key, value, model))
         return out
     for name, process in q.processes.items():
         blocks = process.advances + process.reads

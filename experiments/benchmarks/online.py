@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -57,7 +58,7 @@ def naive_step(p: Pass, epoch: int, steps: int = 10) -> float:
     isam = gtsam.ISAM2(params)
     edges = [*range(0, epoch, 100), *range(epoch, epoch + steps + 1)]
     took = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         factors = gtsam.NonlinearFactorGraph()
         for k in range(begin, end):
             factors.push_back(typed_factors(p, k))

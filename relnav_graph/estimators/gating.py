@@ -36,8 +36,9 @@ def residual_weights(
     ends = np.cumsum(assembly.heights)
     total = np.concatenate(([0.0], np.cumsum(rows.r**2)))
     squares = total[ends] - total[ends - assembly.heights]
-    passed = (rows.status == 0) & (squares <= thresholds(assembly, gates))
-    return passed.astype(np.float64)
+    weights: Array = (rows.status == 0).astype(np.float64)
+    weights[squares > thresholds(assembly, gates)] = 0.0
+    return weights
 
 
 def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:
