@@ -53,6 +53,20 @@ def tangent_basis(b: Array) -> Array:
 
 
 @jit
+def turned(lines: Array, e: Array) -> Array:
+    """Unit vectors (k, 3), each turned by the rotation e (k, 2), rad, across it."""
+    out = np.empty(lines.shape)
+    for k in range(lines.shape[0]):
+        basis = tangent_basis(lines[k])
+        angle = np.sqrt(e[k, 0] ** 2 + e[k, 1] ** 2)
+        stretch = np.sin(angle) / angle if angle > 0.0 else 1.0
+        for i in range(3):
+            step = basis[i, 0] * e[k, 0] + basis[i, 1] * e[k, 1]
+            out[k, i] = np.cos(angle) * lines[k, i] + stretch * step
+    return out
+
+
+@jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (2,): the rotation, in rad, from measured to predicted line of sight, resolved
     across the measured one (the logarithm of the sphere; its noise has rank 2)."""
@@ -115,12 +129,7 @@ class BeaconLineOfSight(PointSensor):
 
     def perturb(self, z: Array, e: Array) -> Array:
         """Turn each line by the rotation e (k, 2), rad, across it."""
-        out = np.empty_like(z)
-        for k, (b, tangent) in enumerate(zip(z, e, strict=True)):
-            step = tangent_basis(b) @ tangent
-            angle = np.linalg.norm(step)
-            out[k] = np.cos(angle) * b + np.sinc(angle / np.pi) * step
-        return out
+        return turned(np.ascontiguousarray(z), np.ascontiguousarray(e))
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(self.sigma**2 * np.eye(2), (len(m.z), 1, 1))
