@@ -262,6 +262,9 @@ RELATIVE_POSITION = Block("relative_position", "r_tc_o", "vector", 3, "m", "o", 
 RELATIVE_VELOCITY = Block("relative_velocity", "v_tc_o", "vector", 3, "m/s", "o", "m/s")
 RELATIVE_POSITION_T = Block("relative_position", "r_tc_t", "vector", 3, "m", "t", "m")
 RELATIVE_VELOCITY_T = Block("relative_velocity", "v_tc_t", "vector", 3, "m/s", "t", "m/s")
+# Of the chaser's own orbit: always inertial, from the Earth's centre.
+CHASER_POSITION = Block("chaser_position", "r_c_i", "vector", 3, "m", "i", "m")
+CHASER_VELOCITY = Block("chaser_velocity", "v_c_i", "vector", 3, "m/s", "i", "m/s")
 TARGET_RATE = Block("target_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
 GYRO_BIAS = Block("gyro_bias", "b_c", "vector", 3, "rad/s", "c", "deg/h")
 #: artanh of the first two ratios l_x = (J_y - J_z) / J_x, l_y = (J_z - J_x) / J_y of the

@@ -18,8 +18,12 @@ from factors.beacon_los import BeaconLineOfSight
 from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
 from factors.euler_rotation import EulerRotation, InertiaRatios
+from factors.gps_position import GpsPosition
 from factors.gyro_bias import GyroBias
+from factors.orbit_two_body import OrbitTwoBody
 from factors.relative_pose import PositionInTarget, RelativeAttitude
+from factors.relative_two_body import RelativeTwoBody
+from factors.star_tracker import StarTracker
 from factors.stereo_point import StereoPoint, StereoPointCartesian
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph import so3
@@ -37,12 +41,19 @@ REGIMES = ("near", "moderate", "large")
 SCALES: Mapping[str, tuple[float, float, float]] = {
     "relative_position": (1.0, 100.0, 1000.0),
     "relative_velocity": (0.01, 0.5, 5.0),
+    "chaser_position": (1e4, 1e5, 1e6),
+    "chaser_velocity": (100.0, 20.0, 1000.0),
     "target_rate": (1e-4, 0.05, 0.5),
     "gyro_bias": (1e-7, 1e-5, 1e-2),
     "inertia_parameters": (0.01, 0.4, 1.0),
     "gyro": (1e-4, 0.05, 0.5),
     "velocity": (0.01, 0.5, 5.0),
 }
+
+
+#: About which the components are drawn, where that is not zero: an orbit is no orbit at
+#: the centre of the Earth.
+PLACES: Mapping[str, Array] = {"chaser_position": np.array([3.1e6, -4.9e6, 4.2e6])}
 
 
 def scale_of(name: str, regime: str) -> float:
@@ -55,7 +66,8 @@ def draw_block(block: Block, rng: np.random.Generator, regime: str) -> Array:
         if regime == "near":
             return np.eye(3) if rng.random() < 0.1 else so3.exp(1e-3 * rng.normal(size=3))
         return so3.exp((1.0 if regime == "moderate" else 3.0) * rng.normal(size=3))
-    return scale_of(block.name, regime) * rng.normal(size=block.dim)
+    spread = scale_of(block.name, regime) * rng.normal(size=block.dim)
+    return np.asarray(PLACES.get(block.name, 0.0) + spread)
 
 
 def draw_blocks(blocks: Iterable[Block]) -> Draw:
@@ -155,6 +167,27 @@ def gyro(angle: Any, bias: Any, **options: Any) -> DynamicsExample:
     return DynamicsExample(model, constant(*squares), {"gyro": 3})
 
 
+def attitude_sensor(model: Any, **step: float) -> SensorExample:
+    steps = {b.name: 0.1 for b in model.reads} | step
+    return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
+
+
+def position_sensor(model: Any) -> SensorExample:
+    return SensorExample(model, draw_blocks(model.reads), step={"chaser_position": 30.0})
+
+
+def orbit(degree: Any, **options: Any) -> DynamicsExample:
+    walk = options.get("position_density", 0.0) ** 2
+    model = OrbitTwoBody(acceleration_density=0.01, degree=degree, **options)
+    return DynamicsExample(model, constant(*[walk] * 3, 1e-4, 1e-4, 1e-4))
+
+
+def relative_two_body(degree: Any, **options: Any) -> DynamicsExample:
+    model = RelativeTwoBody(acceleration_density=1e-3, degree=degree, **options)
+    companion = OrbitTwoBody(acceleration_density=0.01, degree=degree)
+    return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6), {}, (companion,))
+
+
 def relative_motion(**options: Any) -> DynamicsExample:
     model = EccentricRelativeMotion(acceleration_density=1e-6, **options)
     return DynamicsExample(model, constant(0, 0, 0, 1e-12, 1e-12, 1e-12))
@@ -176,6 +209,22 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         point_sensor(BeaconLineOfSight(points=BEACONS, sigma=1e-5, **MOUNTED), anywhere=True),
         point_sensor(
             BeaconLineOfSight(points=BEACONS, sigma=1e-3, pose="target", **MOUNTED), anywhere=True
+        ),
+    ),
+    "gps_position": (
+        position_sensor(GpsPosition(sigma=np.full(3, 10.0))),
+        position_sensor(
+            GpsPosition(
+                sigma=np.array([3.0, 4.0, 5.0]), antenna_position=np.array([0.4, -1.2, 2.0])
+            )
+        ),
+    ),
+    "star_tracker": (
+        attitude_sensor(StarTracker(sigma=np.full(3, 2e-3))),
+        attitude_sensor(
+            StarTracker(
+                sigma=np.array([1e-4, 1e-4, 1e-3]), sensor_attitude=MOUNTED["sensor_attitude"]
+            )
         ),
     ),
     "stereo_point": (
@@ -208,6 +257,15 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         gyro(1e-4, 1e-6, orbit=LOW),
         gyro([1e-4, 3e-4, 2e-4], [1e-4, 2e-4, 3e-4]),
         gyro(1e-4, 1e-4, attitude="relative_attitude"),
+    ),
+    "orbit_two_body": (
+        orbit(0, position_density=0.1),
+        orbit(4),
+        orbit(2, max_step=2.5),
+    ),
+    "relative_two_body": (
+        relative_two_body(0),
+        relative_two_body(3, max_step=5.0),
     ),
     "white_noise_acceleration": (
         constant_velocity(),
