@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from factors.beacon_los import BeaconLineOfSight
 from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
-from factors.euler_rotation import EulerRotation, InertiaRatios
+from factors.euler_rotation import EulerRotation
+from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from factors.gps_position import GpsPosition
 from factors.gyro_bias import GyroBias
 from factors.orbit_two_body import OrbitTwoBody
@@ -45,7 +46,9 @@ SCALES: Mapping[str, tuple[float, float, float]] = {
     "chaser_velocity": (100.0, 20.0, 1000.0),
     "target_rate": (1e-4, 0.05, 0.5),
     "gyro_bias": (1e-7, 1e-5, 1e-2),
+    "body_rate": (1e-4, 0.05, 0.15),  # Euler's steps diverge at more
     "inertia_parameters": (0.01, 0.4, 1.0),
+    "inertia_matrix_parameters": (0.01, 0.2, 0.5),
     "gyro": (1e-4, 0.05, 0.5),
     "velocity": (0.01, 0.5, 5.0),
 }
@@ -195,7 +198,8 @@ def relative_motion(**options: Any) -> DynamicsExample:
 
 def rotation(**options: Any) -> DynamicsExample:
     model = EulerRotation(torque_density=1e-5, inertia_density=1e-4, **options)
-    return DynamicsExample(model, constant(0, 0, 0, 1e-10, 1e-10, 1e-10, 1e-8, 1e-8))
+    ratios = model.advances[2].dim
+    return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios))
 
 
 def constant_velocity(**options: Any) -> DynamicsExample:
@@ -252,6 +256,8 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "euler_rotation": (
         rotation(orbit=LOW),
         rotation(max_step=0.5),
+        rotation(inertia="full", orbit=LOW),
+        rotation(inertia="full", integrator="euler", max_step=0.2, rate="body_rate"),
     ),
     "gyro_bias": (
         gyro(1e-4, 1e-6, orbit=LOW),
@@ -271,6 +277,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         constant_velocity(),
         constant_velocity(pose="target"),
     ),
+    "inertia_matrix_ratios": (DerivedExample(InertiaMatrixRatios()),),
     "inertia_ratios": (DerivedExample(InertiaRatios()),),
     "position_in_target": (DerivedExample(PositionInTarget()),),
     "relative_attitude": (DerivedExample(RelativeAttitude()),),
