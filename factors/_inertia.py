@@ -107,6 +107,12 @@ def _gyroscopic(J: Array) -> Array:
 
 
 @jit
+def coefficients_of(J: Array) -> Array:
+    """A (3, 6), as `euler_coefficients` has it, of a known inertia J (3, 3)."""
+    return so3.add(np.zeros((3, 6)), so3.multiply(_inverse(J), _gyroscopic(J)), -1.0)
+
+
+@jit
 def euler_coefficients(k: Array) -> tuple[Array, Array]:
     """A (3, 6) with w' = A (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y) for a body
     without torque, and its derivatives to k, (n, 3, 6).
@@ -124,8 +130,7 @@ def euler_coefficients(k: Array) -> tuple[Array, Array]:
                 slope[a, i, 3 + i] = dl[i, a]
         return A, slope
     J, dJ = inertia_matrix(k)
-    minus = so3.add(np.zeros((3, 3)), _inverse(J), -1.0)
-    A = so3.multiply(minus, _gyroscopic(J))
+    A, minus = coefficients_of(J), so3.add(np.zeros((3, 3)), _inverse(J), -1.0)
     for a in range(n):  # of J A = -C
         bent = so3.add(_gyroscopic(dJ[a]), so3.multiply(dJ[a], A), 1.0)
         so3.put(slope[a], 0, 0, so3.multiply(minus, bent), 1.0)

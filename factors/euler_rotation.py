@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
+from relnav_graph.errors import InputError
 from relnav_graph.models import DynamicsModel
 from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.state import (
@@ -22,109 +23,26 @@ from relnav_graph.state import (
 )
 from relnav_graph.units import Quantity
 
-from ._inertia import euler_coefficients
+from ._inertia import coefficients_of, euler_coefficients
+from ._rate_steps import published_step, rate_step
 from ._white_noise import add_integrated_white_noise, duration, step_count
 
 Array = NDArray[np.float64]
 
 
 @jit
-def euler_acceleration(w: Array, A: Array, dA: Array, dw: Array) -> tuple[Array, Array]:
-    """w' (3,) of a torque-free body and its Jacobian (3, 3 + n) to (w0, k), with dw that
-    of w itself. A, dA: see `euler_coefficients`; of principal axes only the products
-    w_y w_z and cyclic count."""
-    x, y, z = w[0], w[1], w[2]
-    n, out, to_w = dA.shape[0], np.zeros(3), np.zeros((3, 3))
-    principal = n == 2
-    for i in range(3):
-        C = A[i]
-        if principal:
-            to_w[i, (i + 1) % 3] = C[3 + i] * w[(i + 2) % 3]
-            to_w[i, (i + 2) % 3] = C[3 + i] * w[(i + 1) % 3]
-        else:
-            to_w[i, 0] = 2 * C[0] * x + C[4] * z + C[5] * y
-            to_w[i, 1] = 2 * C[1] * y + C[3] * z + C[5] * x
-            to_w[i, 2] = 2 * C[2] * z + C[3] * y + C[4] * x
-        # Of second degree in w: Euler's theorem on homogeneous functions.
-        out[i] = 0.5 * (to_w[i, 0] * x + to_w[i, 1] * y + to_w[i, 2] * z)
-    jacobian = so3.multiply(to_w, dw)
-    for m in range(n):
-        for i in range(3):
-            C = dA[m, i]
-            if principal:
-                jacobian[i, 3 + m] += C[3 + i] * w[(i + 1) % 3] * w[(i + 2) % 3]
-            else:
-                squares = C[0] * x * x + C[1] * y * y + C[2] * z * z
-                jacobian[i, 3 + m] += squares + C[3] * y * z + C[4] * z * x + C[5] * x * y
-    return out, jacobian
-
-
-@jit
-def rate_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array, Array, Array]:
-    """One Runge-Kutta step of the rate: w (3,) and turn (3,) over h seconds, with their
-    Jacobians to (w, k), (3, 3 + n) each, which are exact for the step as computed.
-
-    The turn is Magnus' series to fourth order: the mean rate, with the midpoint from the
-    Hermite polynomial, and the coning term (w0 x w1) h^2 / 12.
-    """
-    n = 3 + dA.shape[0]
-    start = np.zeros((3, n))
-    start[0, 0] = start[1, 1] = start[2, 2] = 1.0
-    first, dfirst = euler_acceleration(w, A, dA, start)
-    w1, dw1 = so3.add_vector(w, first, h / 6), so3.add(start, dfirst, h / 6)
-    a, da = first, dfirst
-    for stage in range(1, 4):
-        ahead = h if stage == 3 else 0.5 * h
-        rate, drate = so3.add_vector(w, a, ahead), so3.add(start, da, ahead)
-        a, da = euler_acceleration(rate, A, dA, drate)
-        weight = h / 6 if stage == 3 else h / 3
-        w1, dw1 = so3.add_vector(w1, a, weight), so3.add(dw1, da, weight)
-    last, dlast = euler_acceleration(w1, A, dA, dw1)
-    coning = so3.cross(w, w1)
-    dconing = so3.add(so3.multiply(so3.skew(w), dw1), so3.multiply(so3.skew(w1), start), -1.0)
-    turn, dturn = np.empty(3), np.empty((3, n))
-    for i in range(3):
-        turn[i] = h / 2 * (w[i] + w1[i]) + h * h / 12 * (first[i] - last[i] + coning[i])
-        for j in range(n):
-            bent = dfirst[i, j] - dlast[i, j] + dconing[i, j]
-            dturn[i, j] = h / 2 * (start[i, j] + dw1[i, j]) + h * h / 12 * bent
-    return w1, turn, dw1, dturn
-
-
-@jit
-def published_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array, Array, Array]:
-    """One Euler step, as Hu et al. 2019 predict; gives what `rate_step` gives.
-
-    Their q + q' h, made a unit quaternion again, turns by 2 atan(|w| h / 2) about w.
-    """
-    start = np.zeros((3, 3 + dA.shape[0]))
-    start[0, 0] = start[1, 1] = start[2, 2] = 1.0
-    a, da = euler_acceleration(w, A, dA, start)
-    half2 = 0.25 * h * h * (w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
-    half = np.sqrt(half2)
-    stretch = 1 - half2 / 3 * (1 - 0.6 * half2) if half < 1e-3 else np.arctan(half) / half
-    if half < 1e-3:
-        slope = -2 / 3.0 + 0.8 * half2
-    else:
-        slope = (1 / (1 + half2) - stretch) / half2
-    turn, dturn = np.empty(3), np.zeros((3, 3 + dA.shape[0]))
-    for i in range(3):
-        turn[i] = stretch * h * w[i]
-        dturn[i, i] = stretch * h
-        for j in range(3):  # d(half2) = h^2 w_j / 2, and d(stretch) = slope d(half2) / 2
-            dturn[i, j] += 0.25 * slope * h**3 * w[i] * w[j]
-    return so3.add_vector(w, a, h), turn, so3.add(start, da, h), dturn
-
-
-@jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds; p[7] != 0: Euler's."""
+    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds; p[7] != 0: Euler's; p[8:26]:
+    A of a known inertia, where there is no k."""
     length = duration(u)
     steps = step_count(length, p[6])
     h = length / steps
     n = x.shape[0] - 6  # of the tangent
     R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), x[12:]
-    A, dA = euler_coefficients(k)
+    if k.shape[0] == 0:
+        A, dA = p[8:26].reshape(3, 6), np.zeros((0, 3, 6))
+    else:
+        A, dA = euler_coefficients(k)
     total, noise, step = so3.identity(n), np.zeros((n, n)), so3.identity(n)
     for _ in range(steps):
         if p[7] != 0.0:
@@ -160,12 +78,15 @@ class EulerRotation(DynamicsModel):
     section 3; Hu et al. 2019, eq. 4). inertia = "principal": the target's axes are its
     principal axes, and the ratios l = tanh(k) stand in the state as k
     (`relnav_graph.state.INERTIA`). inertia = "full": any axes, `state.INERTIA_MATRIX`.
+    inertia = "known": known_inertia, J about the axes of t up to its scale, kg m^2.
 
     torque_density: rad/s^1.5, angular acceleration per axis; inertia_density: 1/sqrt(s),
     a small random walk that keeps the covariance regular; max_step: s, the longest step;
     orbit: the target's, None where o does not rotate; integrator: "euler" is Hu's.
     rate: "body_rate" where the axes of t are arbitrary, so that tables show the rate in
     chaser axes instead (`factors.relative_pose.TargetRateInChaser`).
+
+    Raises InputError on a known inertia that no body has, that is missing, or unused.
     """
 
     kind: ClassVar[str] = "euler_rotation"
@@ -175,15 +96,29 @@ class EulerRotation(DynamicsModel):
     inertia_density: Annotated[float, Quantity("1/sqrt(s)", positive=True)] = 1e-8
     max_step: Annotated[float, Quantity("s", positive=True)] = 1.0
     orbit: KeplerOrbit | None = None
-    inertia: Literal["principal", "full"] = "principal"
+    inertia: Literal["principal", "full", "known"] = "principal"
+    known_inertia: Annotated[Array, Quantity("kg*m^2", (3, 3))] | None = None
     integrator: Literal["runge_kutta", "euler"] = "runge_kutta"
     rate: Literal["target_rate", "body_rate"] = "target_rate"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        J = self.known_inertia
+        if (J is not None) != (self.inertia == "known"):
+            raise InputError(f"{self.kind}: known_inertia goes with inertia = 'known', and only so")
+        if J is not None:
+            moments = np.linalg.eigvalsh(0.5 * np.trace(J) * np.eye(3) - J)
+            if not moments.min() > 0 or np.abs(J - J.T).max() > 1e-9 * np.abs(J).max():
+                raise InputError(f"{self.kind}.known_inertia: found {J.tolist()}: no body has it")
 
     @property
     def advances(self) -> tuple[Block, ...]:
         rate = TARGET_RATE if self.rate == "target_rate" else BODY_RATE
-        return TARGET_ATTITUDE, rate, INERTIA if self.inertia == "principal" else INERTIA_MATRIX
+        inertia = {"principal": (INERTIA,), "full": (INERTIA_MATRIX,), "known": ()}
+        return TARGET_ATTITUDE, rate, *inertia[self.inertia]
 
     def constants(self) -> Array:
         own = [self.torque_density, self.inertia_density, self.max_step]
-        return np.concatenate([orbit_array(self.orbit), own, [self.integrator == "euler"]])
+        own.append(float(self.integrator == "euler"))
+        known = np.zeros(0) if self.known_inertia is None else coefficients_of(self.known_inertia)
+        return np.concatenate([orbit_array(self.orbit), own, known.ravel()])

@@ -22,6 +22,7 @@ from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from factors.gps_position import GpsPosition
 from factors.gyro_bias import GyroBias
 from factors.orbit_two_body import OrbitTwoBody
+from factors.relative_attitude import VisionAttitude
 from factors.relative_pose import PositionInTarget, RelativeAttitude
 from factors.relative_two_body import RelativeTwoBody
 from factors.star_tracker import StarTracker
@@ -115,6 +116,7 @@ MOUNTED: dict[str, Any] = {
     "sensor_attitude": so3.exp(np.array([0.3, -1.1, 0.7])),
     "sensor_position": np.array([0.4, -0.2, 0.1]),
 }
+HU_INERTIA = np.array([[1000.0, 60, 40], [60, 800, 30], [40, 30, 600]])
 LOW = KeplerOrbit(7.2e6, 0.05, 0.3)
 HYPERBOLA = KeplerOrbit(-2.0e7, 1.4, -1.0)
 
@@ -198,7 +200,7 @@ def relative_motion(**options: Any) -> DynamicsExample:
 
 def rotation(**options: Any) -> DynamicsExample:
     model = EulerRotation(torque_density=1e-5, inertia_density=1e-4, **options)
-    ratios = model.advances[2].dim
+    ratios = sum(b.dim for b in model.advances[2:])
     return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios))
 
 
@@ -257,6 +259,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         rotation(orbit=LOW),
         rotation(max_step=0.5),
         rotation(inertia="full", orbit=LOW),
+        rotation(inertia="known", known_inertia=HU_INERTIA),
         rotation(inertia="full", integrator="euler", max_step=0.2, rate="body_rate"),
     ),
     "gyro_bias": (
@@ -272,6 +275,11 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "relative_two_body": (
         relative_two_body(0),
         relative_two_body(3, max_step=5.0),
+    ),
+    "vision_attitude": tuple(
+        attitude_sensor(VisionAttitude(sigma=np.full(3, 8e-3), seen_from=where, **turned))
+        for where in ("orbital", "target", "fixed")
+        for turned in ({}, {"sensor_attitude": MOUNTED["sensor_attitude"]})
     ),
     "white_noise_acceleration": (
         constant_velocity(),
