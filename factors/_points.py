@@ -113,6 +113,27 @@ class PointSensor(SensorModel):
             raise InputError(f"{self.kind}: found id {ids[bad][0]}, expected 0 to {last}")
         return np.ascontiguousarray(self.points[ids])
 
+    def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
+        """What is weak, or not seen at all, where all points are near each other: the
+        range, turns of the target, and turns of everything together in frame o."""
+        R, r = x[-2], x[-1]
+        along = r[:, None] / np.linalg.norm(r)
+        across = np.linalg.svd(along.T)[2][1:].T
+        turned = {"about the line of sight": along, "across the line of sight": across}
+        none = np.zeros((3, 1))
+        found: dict[str, tuple[Array, ...]] = {}
+        if self.pose == "target":
+            found["range, along the line of sight"] = (none, along)
+            for where, axes in turned.items():
+                found[f"rotation of the chaser {where}"] = (R.T @ axes, 0 * axes)
+            return found
+        found["range, along the line of sight"] = (none, none, along)
+        for where, axes in turned.items():
+            found[f"rotation of the target {where}"] = (0 * axes, R.T @ axes, 0 * axes)
+        joint = "joint rotation of both attitudes and the position, axis in o"
+        found[joint] = (x[0].T, x[1].T, -so3.skew(r))
+        return found
+
     def points_in_sensor(self, ids: NDArray[np.int64], *x: Array) -> Array:
         """Positions (k, 3) of the points `ids` in sensor axes, m."""
         packed = np.concatenate([np.ravel(value) for value in x])

@@ -71,6 +71,7 @@ class BodyVelocity(DynamicsModel):
         "velocity": ("vx_m_s", "vy_m_s", "vz_m_s"),
         "gyro": GYRO_COLUMNS,
     }
+    noises: ClassVar[tuple[str, ...]] = ("velocity_density",)
     kernel = staticmethod(kernel)
 
     velocity_density: Annotated[Array, Quantity("m/sqrt(s)", (3,), positive=True, fill=True)]

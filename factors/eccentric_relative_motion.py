@@ -111,6 +111,7 @@ class EccentricRelativeMotion(DynamicsModel):
     """
 
     kind: ClassVar[str] = "eccentric_relative_motion"
+    noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
     kernel = staticmethod(kernel)
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]

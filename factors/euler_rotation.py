@@ -112,6 +112,11 @@ class EulerRotation(DynamicsModel):
                 raise InputError(f"{self.kind}.known_inertia: found {J.tolist()}: no body has it")
 
     @property
+    def noises(self) -> tuple[str, ...]:  # type: ignore[override]
+        names = "torque_density", "torque_density", "inertia_density"
+        return names[: len(self.advances)]
+
+    @property
     def advances(self) -> tuple[Block, ...]:
         rate = TARGET_RATE if self.rate == "target_rate" else BODY_RATE
         inertia = {"principal": (INERTIA,), "full": (INERTIA_MATRIX,), "known": ()}
@@ -122,3 +127,17 @@ class EulerRotation(DynamicsModel):
         own.append(float(self.integrator == "euler"))
         known = np.zeros(0) if self.known_inertia is None else coefficients_of(self.known_inertia)
         return np.concatenate([orbit_array(self.orbit), own, known.ravel()])
+
+    def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
+        """What a steady spin hides: the phase, and the inertia ratios."""
+        w, none = x[1][:, None], np.zeros((3, 1))
+        spin = w / max(float(np.linalg.norm(w)), 1e-12)
+        ratios = np.eye(sum(b.dim for b in self.advances[2:]))
+        rest = (0 * ratios[:, :1],) if len(ratios) else ()
+        found = {
+            "rotation of the target about its spin axis": (spin, none, *rest),
+            "rate of the target along its spin axis": (none, spin, *rest),
+        }
+        for n, ratio in enumerate(ratios, 1):
+            found[f"inertia ratio k{n}"] = (none, none, ratio[:, None])
+        return found

@@ -73,6 +73,7 @@ class GyroBias(DynamicsModel):
 
     kind: ClassVar[str] = "gyro_bias"
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {"gyro": GYRO_COLUMNS}
+    noises: ClassVar[tuple[str, ...]] = ("angle_random_walk_density", "bias_random_walk_density")
     kernel = staticmethod(kernel)
 
     angle_random_walk_density: Annotated[

@@ -53,6 +53,7 @@ class OrbitTwoBody(DynamicsModel):
     """
 
     kind: ClassVar[str] = "orbit_two_body"
+    noises: ClassVar[tuple[str, ...]] = ("position_density", "acceleration_density")
     kernel = staticmethod(kernel)
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]

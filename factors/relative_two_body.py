@@ -62,6 +62,7 @@ class RelativeTwoBody(DynamicsModel):
     """
 
     kind: ClassVar[str] = "relative_two_body"
+    noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
     kernel = staticmethod(kernel)
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]

@@ -49,6 +49,7 @@ class WhiteNoiseAcceleration(DynamicsModel):
     """
 
     kind: ClassVar[str] = "white_noise_acceleration"
+    noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
     kernel = staticmethod(kernel)
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]

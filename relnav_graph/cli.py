@@ -17,6 +17,8 @@ COMMANDS = {
     "compare": "Run several estimators on the same pass and score them.",
     "simulate": "Simulate a scenario into a data set.",
     "smooth": "Smooth the recorded pass of a data set.",
+    "explain": "Say, before any data, what the sensors of a scenario can tell.",
+    "study": "Make many runs of a scenario and say what they show together.",
     "validate": "Check a scenario or a data set: every error, with its path.",
     "list": "List models, estimators, truths, readers and scenarios.",
     "convert": "Convert between data folders, data sets and results.",

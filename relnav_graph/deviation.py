@@ -139,8 +139,7 @@ def deviations(
         if true.shape != state.value.shape:
             raise InputError(f"truth of {name!r}: {true.shape}, expected {state.value.shape}")
         keep = finite(true)
-        pairs = zip(state.value[keep], true[keep], strict=True)
-        e = np.array([block.local(a, b) for a, b in pairs]).reshape(-1, block.dim)
+        e = block.local(state.value[keep], true[keep])
         found[name] = StateErrors(block, t[keep], e, state.P[keep])
     return found
 
@@ -194,13 +193,12 @@ def chi2_band(n: int, runs: int = 1) -> Band:
     return float(low) / freedoms, float(high) / freedoms
 
 
-def mean_nees(e: Array, P: Array, runs: int = 1) -> tuple[float | None, Band | None]:
-    """ANEES, mean NEES / rank over epochs, and its band for so many independent runs.
+def mean_nees(e: Array, P: Array) -> tuple[float | None, int]:
+    """ANEES, mean NEES / rank over epochs, and the freedoms of one run, the largest rank.
 
-    The band counts runs alone: epochs of one run are correlated. None without a finite
-    value, or without epochs.
+    None without a finite value, or without epochs.
     """
     value, rank = nees(e, P)
     if not len(value) or not np.isfinite(value).all():
-        return None, None
-    return float(np.mean(value / rank)), chi2_band(int(rank.max()), runs)
+        return None, 0
+    return float(np.mean(value / rank)), int(rank.max())

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from relnav_graph.deviation import (
     Band,
     StateErrors,
+    StateEstimates,
+    chi2_band,
     deviations,
     errors,
     estimates,
@@ -41,6 +43,8 @@ __all__ = [
     "improvement",
     "require_same_kind",
     "score",
+    "score_of",
+    "step_ms",
     "summary",
     "table",
     "with_smoothed",
@@ -54,9 +58,9 @@ class StateScore:
     """Scores of one state in table units; None where the track holds no finite number.
 
     rmse: sqrt(mean |e|^2), a norm over the axes; rmse_last: the same at the last epoch;
-    sigma: sqrt(mean trace P); anees: mean NEES / rank; inside_3sigma: fraction of the
-    components within three sigma; t: epochs compared, s, empty where truth knows none
-    (then only unit and sigma mean something).
+    sigma: sqrt(mean trace P); anees: mean NEES / rank, and freedoms the rank; inside_1sigma
+    to 3: fraction of the components within so many sigma; t: epochs compared, s, empty
+    where truth knows none (then only unit and sigma mean something).
     """
 
     unit: str
@@ -65,8 +69,15 @@ class StateScore:
     rmse: float | None = None
     rmse_last: float | None = None
     anees: float | None = None
-    anees_band: Band | None = None
+    freedoms: int = 0
+    inside_1sigma: float | None = None
+    inside_2sigma: float | None = None
     inside_3sigma: float | None = None
+
+    @property
+    def anees_band(self) -> Band | None:
+        """95 % band of one run; its epochs are correlated, so they do not narrow it."""
+        return None if self.anees is None else chi2_band(self.freedoms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +88,12 @@ class Score:
     kind: Kind
     states: Mapping[str, StateScore]
     anees: float | None = None
-    anees_band: Band | None = None
+    freedoms: int = 0
+
+    @property
+    def anees_band(self) -> Band | None:
+        """95 % band of one run."""
+        return None if self.anees is None else chi2_band(self.freedoms)
 
 
 def _number(value: Any) -> float | None:
@@ -89,11 +105,13 @@ def _sigma(block: Block, P: Array) -> float | None:
     return _number(block.table_scale * np.sqrt(np.trace(P, axis1=1, axis2=2).mean()))
 
 
-def _state_score(s: StateErrors, runs: int) -> StateScore:
+def _state_score(s: StateErrors) -> StateScore:
     scale = s.block.table_scale
     squared = (s.e**2).sum(axis=1)
-    inside = np.abs(s.e) <= 3 * np.sqrt(np.diagonal(s.P, axis1=1, axis2=2))
-    anees, band = mean_nees(s.e, s.P, runs)
+    known = finite(s.e, s.P).all()
+    size, sigma = np.abs(s.e), np.sqrt(np.diagonal(s.P, axis1=1, axis2=2))
+    inside = [_number((size <= m * sigma).mean()) if known else None for m in (1, 2, 3)]
+    anees, freedoms = mean_nees(s.e, s.P)
     return StateScore(
         unit=s.block.table_unit,
         sigma=_sigma(s.block, s.P),
@@ -101,8 +119,10 @@ def _state_score(s: StateErrors, runs: int) -> StateScore:
         rmse=_number(scale * np.sqrt(squared.mean())),
         rmse_last=_number(scale * np.sqrt(squared[-1])),
         anees=anees,
-        anees_band=band,
-        inside_3sigma=_number(inside.mean()) if finite(s.e, s.P).all() else None,
+        freedoms=freedoms,
+        inside_1sigma=inside[0],
+        inside_2sigma=inside[1],
+        inside_3sigma=inside[2],
     )
 
 
@@ -123,27 +143,35 @@ def score(
     truth: Truth | None,
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None = None,
-    runs: int = 1,
 ) -> Score:
     """Scores of a track over the part `evaluate` (fractions) of its pass.
 
-    runs: how many independent runs the bands are for. Without truth, sigma alone. Raises
-    InputError as :func:`errors` does, and on a window without epochs.
+    Without truth, sigma alone. Raises InputError as :func:`errors` does, and on a window
+    without epochs.
     """
+    states = estimates(track, derived)
+    found = {} if truth is None else deviations(states, track.t, truth, derived)
+    return score_of(track, states, found, evaluate)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # diverged tracks: None in the end
+def score_of(
+    track: Track,
+    states: Mapping[str, StateEstimates],
+    found: Mapping[str, StateErrors],
+    evaluate: tuple[float, float] | None = None,
+) -> Score:
+    """:func:`score`, of a track's estimates and errors that are at hand already."""
     inside = _window(track.t, evaluate)
-    with np.errstate(over="ignore", invalid="ignore"):  # diverged tracks: None in the end
-        states = estimates(track, derived)
-        found = {} if truth is None else deviations(states, track.t, truth, derived)
-        found = {name: s.where(np.isin(s.t, track.t[inside])) for name, s in found.items()}
-        found = {name: s for name, s in found.items() if len(s.t)}
-        scores = {
-            name: _state_score(found[name], runs)
-            if name in found
-            else StateScore(state.block.table_unit, _sigma(state.block, state.P[inside]))
-            for name, state in states.items()
-        }
-        anees, band = mean_nees(*joint(found.values(), track), runs)
-    return Score(track.name, track.kind, scores, anees, band)
+    found = {name: s.where(np.isin(s.t, track.t[inside])) for name, s in found.items()}
+    found = {name: s for name, s in found.items() if len(s.t)}
+    scores = {
+        name: _state_score(found[name])
+        if name in found
+        else StateScore(state.block.table_unit, _sigma(state.block, state.P[inside]))
+        for name, state in states.items()
+    }
+    return Score(track.name, track.kind, scores, *mean_nees(*joint(found.values(), track)))
 
 
 def improvement(a: Score, b: Score, state: str) -> float | None:
@@ -186,7 +214,9 @@ def with_smoothed(tracks: Iterable[Track]) -> dict[str, Track]:
     return found
 
 
-def _step_ms(step_s: Array | None) -> dict[str, dict[str, float | None]]:
+def step_ms(step_s: Array | None) -> dict[str, dict[str, float | None]]:
+    """Medians and tail of the times of online steps (N,), s, as ``{"step_ms": ...}``;
+    nothing without steps."""
     if step_s is None or not len(step_s):
         return {}
     ms, tenth = 1e3 * step_s, max(1, len(step_s) // 10)
@@ -211,12 +241,18 @@ def _row(track: Track, s: Score) -> dict[str, Any]:
         "status": track.status,
         "message": track.message,
         "runtime_s": _number(track.runtime_s),
-        **_step_ms(track.step_s),
+        **step_ms(track.step_s),
         "anees": s.anees,
         "anees_band": s.anees_band,
         "rejected": {sensor: int(n) for sensor, n in track.rejected.items()},
         "states": {name: _state_row(state) for name, state in s.states.items()},
     }
+
+
+def versions() -> dict[str, str]:
+    """Of the packages that decide the numbers, and of Python."""
+    packages = ("relnav-graph", "gtsam", "numpy", "numba")
+    return {p: version(p) for p in packages} | {"python": platform.python_version()}
 
 
 def summary(
@@ -233,13 +269,12 @@ def summary(
     States that truth does not know have unit and sigma only. Raises InputError as
     :func:`score` does.
     """
-    packages = ("relnav-graph", "gtsam", "numpy", "numba")
     return {
         "schema": 1,
         "scenario": scenario_name,
         "seed": seed,
         "epochs": epochs,
-        "versions": {p: version(p) for p in packages} | {"python": platform.python_version()},
+        "versions": versions(),
         "estimators": {
             name: _row(track, score(track, truth, derived, evaluate))
             for name, track in with_smoothed(tracks).items()

@@ -127,6 +127,8 @@ class Dynamics(Protocol):
     #: The inputs (gyro, accelerometer), each a known mean over sub-intervals: the columns
     #: of its table, with units, by name.
     inputs: ClassVar[Mapping[str, tuple[str, ...]]]
+    #: For each advanced block, the field whose noise drives it; may be empty.
+    noises: ClassVar[tuple[str, ...]]
 
     @property
     def kernel(self) -> Kernel:
@@ -279,6 +281,7 @@ class DynamicsModel:
 
     kind: ClassVar[str]
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    noises: ClassVar[tuple[str, ...]] = ()
     kernel: ClassVar[Kernel]
     failures: ClassVar[Mapping[int, str]] = {}
 

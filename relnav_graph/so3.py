@@ -271,6 +271,17 @@ def log(matrix: Array) -> Array:
 
 
 @jit
+def local_each(a: Array, b: Array) -> Array:
+    """Log(a_k^T b_k) of rotations (N, 3, 3) in pairs: (N, 3), rad."""
+    out = np.empty((a.shape[0], 3))
+    for k in range(a.shape[0]):
+        turned = log(transpose_multiply(a[k], b[k]))
+        for i in range(3):
+            out[k, i] = turned[i]
+    return out
+
+
+@jit
 def right_jacobian(phi: Array) -> Array:
     """``J_r``: ``Exp(phi + d) = Exp(phi) Exp(J_r d)`` to first order."""
     _, b, c = _coefficients(np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2))

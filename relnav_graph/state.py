@@ -82,9 +82,10 @@ class Block:
         return array.reshape(-1)
 
     def local(self, a: Array, b: Array) -> Array:
-        """Tangent vector from value `a` to value `b`."""
+        """Tangent vectors (..., dim) from values `a` to values `b`, both of one shape."""
         if self.manifold == "SO3":
-            return so3.log(np.ascontiguousarray(a.T @ b))
+            stacks = (np.ascontiguousarray(m, dtype=np.float64).reshape(-1, 3, 3) for m in (a, b))
+            return so3.local_each(*stacks).reshape(*a.shape[:-2], 3)
         return b - a
 
 

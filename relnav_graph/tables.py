@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["table"]
+__all__ = ["study_table", "table"]
 
 
 def _text(value: float | None, form: str = ".4g") -> str:
@@ -78,4 +78,113 @@ def table(summary: Mapping[str, Any]) -> str:
         ]
         header = "estimator |kind     |     rmse|rmse last|  1-sigma|   ANEES|inside 3-sigma"
         lines += ["", state + ("" if unit == "1" else f" [{unit}]"), *_aligned(header, block)]
+    return "\n".join(lines) + "\n"
+
+
+def _study_overview(name: str, row: Mapping[str, Any]) -> list[str]:
+    low, high = row["anees_band"] or (None, None)
+    return [
+        name,
+        row["kind"],
+        row["status"],
+        str(row["runs"]),
+        _text(row["runtime_s"], ".3g"),
+        _text(row["anees"], ".3f"),
+        "-" if low is None else f"{low:.3f}..{high:.3f}",
+    ]
+
+
+def _study_state(name: str, width: int, kind: str, state: Mapping[str, Any]) -> list[str]:
+    low, high = state.get("rmse_ci") or (None, None)
+    return [
+        name.ljust(width),
+        kind,
+        _text(state.get("rmse")),
+        "-" if low is None else f"{_text(low)}..{_text(high)}",
+        *(_text(state.get(key)) for key in ("sigma", "bound")),
+        _text(state.get("efficiency"), ".3f"),
+        _text(state.get("anees"), ".2f"),
+        _text(state.get("inside_3sigma"), ".1%"),
+    ]
+
+
+_STUDY_STATE = (
+    "estimator |kind     |     rmse|95 % interval|  1-sigma|    bound|rmse/bound|ANEES|in 3-sigma"
+)
+
+
+def study_table(summary: Mapping[str, Any]) -> str:
+    """The object of ``relnav study --json`` as text: a row per estimator, a block per
+    state in its unit, the verdict, and the runs that failed."""
+    rows, seed = summary["estimators"], summary["seed"]
+    title = f"{summary['scenario']}: {summary['runs']} runs of {summary['epochs']} epochs"
+    header = "estimator |kind |status |runs|run time s|ANEES|95 % band"
+    lines = [f"{title}, seed {seed}", ""]
+    lines += _aligned(header, [_study_overview(name, row) for name, row in rows.items()])
+    width = max(map(len, ["estimator", *rows]))
+    units = {state: s["unit"] for row in rows.values() for state, s in row["states"].items()}
+    for state, unit in units.items():
+        block = [
+            _study_state(name, width, row["kind"], row["states"][state])
+            for name, row in rows.items()
+            if state in row["states"]
+        ]
+        lines += ["", state + ("" if unit == "1" else f" [{unit}]"), *_aligned(_STUDY_STATE, block)]
+    lines += ["", "Verdict", *(f"  {text}" for text in summary["verdict"]["text"])]
+    for title, key in (("Failed runs", "failed"), ("Degraded runs", "degraded")):
+        if summary[key]:
+            lines += ["", title]
+            lines += [f"  {r['message']}\n    {r['command']}" for r in summary[key]]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    """One number where all are the same, else all of them."""
+    texts = list(dict.fromkeys(f"{v:.4g}" for v in values))
+    return texts[0] if len(texts) == 1 else "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+
+
+def _sensor_lines(s: Mapping[str, Any]) -> list[str]:
+    lines = [f"  {s['name']} ({s['kind']}): {s['meaning']}"]
+    seen = f"{s['observations']} observations in {s['epochs']} epochs"
+    noise = f"; sigma {_numbers(s['sigma'])} (SI) per residual row" if "sigma" in s else ""
+    return [*lines, f"      reads {', '.join(s['reads'])}; {seen}{noise}"]
+
+
+def _process_lines(p: Mapping[str, Any]) -> list[str]:
+    driven = f", driven by {', '.join(p['inputs'])}" if p["inputs"] else ""
+    lines = [f"  {p['name']} ({p['kind']}{driven}): {p['meaning']}"]
+    for n in p["noise"]:
+        noise = f"{_numbers(n['sigma'])} {n['unit'] if n['unit'] != '1' else ''}".rstrip()
+        lines.append(f"      {n['block']}: sigma {noise} over {p['interval_s']:g} s")
+    return lines
+
+
+def explain_table(found: Mapping[str, Any]) -> str:
+    """The object of ``relnav explain --json`` as text."""
+    lines = [f"{found['scenario']}: {found['epochs']} epochs", "", "Sensors"]
+    for s in found["sensors"]:
+        lines += _sensor_lines(s)
+    lines += ["", "Processes: noise after discretisation, 1-sigma per axis"]
+    for p in found["processes"]:
+        lines += _process_lines(p)
+    states = [
+        [f"{name} [{s['unit']}]", *(_text(s[k]) for k in ("prior", "filter", "smoother"))]
+        for name, s in found["states"].items()
+    ]
+    lines += ["", "Predicted 1-sigma (norm over the axes, root mean square over the pass)"]
+    lines += _aligned("state |    prior|   filter| smoother", states)
+    directions = [
+        [
+            f"{d['direction']} [{d['unit']}]",
+            *(_text(d.get(k)) for k in ("prior", "filter_last", "smoother_middle")),
+        ]
+        for d in found["directions"]
+    ]
+    if directions:
+        lines += ["", "Predicted 1-sigma along directions that the models name"]
+        lines += _aligned("direction |    prior|filter, last|smoother, middle", directions)
+    lines += ["", "Weak directions of the first epoch (smoothed sigma in parts of the prior's)"]
+    weak = [[w["direction"], w["verdict"], f"{w['kept']:.2f}"] for w in found["weak"]]
+    lines += _aligned("direction |verdict |kept", weak) if weak else ["  none"]
     return "\n".join(lines) + "\n"

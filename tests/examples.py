@@ -18,9 +18,9 @@ from factors.beacon_los import BeaconLineOfSight
 from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
 from factors.euler_rotation import EulerRotation
-from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from factors.gps_position import GpsPosition
 from factors.gyro_bias import GyroBias
+from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from factors.orbit_two_body import OrbitTwoBody
 from factors.relative_attitude import VisionAttitude
 from factors.relative_pose import PositionInTarget, RelativeAttitude

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
-from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
-from relnav_graph.estimators import GROUP, run_estimator
+from relnav_graph.errors import InputError
+from relnav_graph.estimators import GROUP, try_estimator
 from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
 from relnav_graph.io.readers import read_raw
 from relnav_graph.metrics import summary
 from relnav_graph.models import derived_quantities
-from relnav_graph.problem import Problem
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario
 from relnav_graph.settings import override, read_toml
+from relnav_graph.tables import table as comparison_table
 from relnav_graph.track import Track
 
 __all__ = ["Pass", "estimate", "is_dataset", "open_pass", "show_progress", "write_outputs"]
@@ -33,13 +32,14 @@ class Pass:
     """A scenario with the recording it is run on.
 
     seed: root of what is drawn, the prior's mean at least; simulated: whether the recording
-    was drawn from it too.
+    was drawn from it too; run: which of the runs of a study it is.
     """
 
     scenario: Scenario
     recording: Recording
     seed: int
     simulated: bool
+    run: int = 0
 
 
 def is_dataset(folder: Path) -> bool:
@@ -68,7 +68,13 @@ def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
     return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
 
 
-def open_pass(path: Path, seed: int | None, data: Path | None, assignments: Sequence[str]) -> Pass:
+def open_pass(
+    path: Path,
+    seed: int | None,
+    data: Path | None,
+    assignments: Sequence[str],
+    run: int = 0,
+) -> Pass:
     """A scenario with simulated data, a data set, or a folder that its reader knows.
 
     Raises InputError on whatever is wrong with any of them.
@@ -77,7 +83,7 @@ def open_pass(path: Path, seed: int | None, data: Path | None, assignments: Sequ
     if data is None:
         scenario = load_scenario(path, assignments)
         seed = scenario.file.seed if seed is None else seed
-        return Pass(scenario, scenario.simulate(seed), seed, True)
+        return Pass(scenario, scenario.simulate(seed, run), seed, True, run)
     _need_folder(data)
     if is_dataset(data):
         scenario = load_scenario(path, assignments, read_settings_of(data))
@@ -118,24 +124,6 @@ def show_events() -> None:
         logger.setLevel(logging.INFO)
 
 
-def _run(kind: str, problem: Problem) -> Track:
-    """The track of one estimator; a failure costs its own row, not the others'."""
-    try:
-        return run_estimator(kind, problem)
-    except (EstimationError, GeometryError, ModelError, np.linalg.LinAlgError) as error:
-        count, layout = len(problem.epochs), problem.layout
-        return Track(
-            name=kind,
-            kind="filtered",
-            layout=layout,
-            t=problem.times,
-            x=np.full((count, layout.size), np.nan),
-            P=np.full((count, layout.dim, layout.dim), np.nan),
-            status="diverged",
-            message=f"{type(error).__name__}: {error}",
-        )
-
-
 def check_before_work(kinds: Sequence[str], out: Path | None) -> None:
     """Refuse, before any work, estimators that do not exist and folders that cannot be.
 
@@ -149,15 +137,15 @@ def check_before_work(kinds: Sequence[str], out: Path | None) -> None:
 
 def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, Any]]:
     """Run estimators on one problem; their tracks, and the summary of section `--json`."""
-    problem = run.scenario.problem(run.recording, run.seed)
+    problem = run.scenario.problem(run.recording, run.seed, run.run)
     window = run.scenario.window(problem.times)
     chosen = list(dict.fromkeys(kinds or run.scenario.file.estimators))
     for kind in chosen:  # what is not compiled yet must not count as run time
-        _run(kind, replace(problem, epochs=problem.epochs[:3]))
+        try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
     tracks = []
     for kind in chosen:
         show_progress(f"{kind}: {len(problem.epochs)} epochs ...")
-        tracks.append(_run(kind, problem))
+        tracks.append(try_estimator(kind, problem))
     found = summary(
         run.scenario.name,
         run.seed if run.simulated else None,
@@ -193,16 +181,13 @@ def write_outputs(out: Path, run: Pass, tracks: Sequence[Track], found: dict[str
     save_figures(figures, out / "figures")
 
 
-def report(found: dict[str, Any], as_json: bool) -> int:
+def report(
+    found: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]], str] = comparison_table
+) -> int:
     """Print the summary; the exit code, 3 when an estimate is not to be trusted."""
-    from relnav_graph.tables import table
-
-    if as_json:
-        click.echo(json.dumps(found, allow_nan=False))
-    else:
-        click.echo(table(found))
+    click.echo(json.dumps(found, allow_nan=False) if as_json else table(found))
     bad = [n for n, row in found["estimators"].items() if row["status"] != "ok"]
     for name in bad:
         row = found["estimators"][name]
         click.echo(f"{name}: {row['status']}: {row['message']}", err=True)
-    return 3 if bad else 0
+    return 3 if bad or found.get("failed") else 0

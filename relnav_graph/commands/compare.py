@@ -13,6 +13,7 @@ from relnav_graph.commands import check_before_work, estimate, open_pass, report
 @click.argument("scenario", type=click.Path(path_type=Path))
 @click.option("-e", "--estimator", "kinds", multiple=True, help="Estimator; may be repeated.")
 @click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
+@click.option("--run", "number", type=click.IntRange(0), default=0, help="Run of a study.")
 @click.option("--data", type=click.Path(path_type=Path), help="Recorded data to use.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for results.")
@@ -21,6 +22,7 @@ def command(
     scenario: Path,
     kinds: tuple[str, ...],
     seed: int | None,
+    number: int,
     data: Path | None,
     assignments: tuple[str, ...],
     out: Path | None,
@@ -32,7 +34,7 @@ def command(
     that the scenario names). All estimators get the same measurements, models and prior.
     """
     check_before_work(kinds, out)
-    run = open_pass(scenario, seed, data, assignments)
+    run = open_pass(scenario, seed, data, assignments, number)
     tracks, found = estimate(run, kinds)
     if out is not None:
         write_outputs(out, run, tracks, found)

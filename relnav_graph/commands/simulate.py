@@ -14,17 +14,23 @@ from relnav_graph.scenario import load_scenario
 @click.command("simulate")
 @click.argument("scenario", type=click.Path(path_type=Path))
 @click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
+@click.option("--run", "number", type=click.IntRange(0), default=0, help="Run of a study.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Data set.")
 @click.option("--parquet", is_flag=True, help="Parquet tables instead of CSV (extra: data).")
 def command(
-    scenario: Path, seed: int | None, assignments: tuple[str, ...], out: Path, parquet: bool
+    scenario: Path,
+    seed: int | None,
+    number: int,
+    assignments: tuple[str, ...],
+    out: Path,
+    parquet: bool,
 ) -> None:
     """Simulate SCENARIO and write measurements, inputs and truth as a data set."""
     show_events()
     loaded = load_scenario(scenario, assignments)
     seed = loaded.file.seed if seed is None else seed
-    recording = loaded.simulate(seed)
+    recording = loaded.simulate(seed, number)
     blocks = {b.name: b for b in loaded.layout}
     raw = {**loaded.raw, "seed": seed}
     tables: Format = "parquet" if parquet else "csv"

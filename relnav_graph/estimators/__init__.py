@@ -7,11 +7,12 @@ from typing import ClassVar, Protocol, runtime_checkable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.problem import Problem
 from relnav_graph.registry import find_class
 from relnav_graph.track import Track
 
-__all__ = ["GROUP", "Estimator", "run_estimator"]
+__all__ = ["GROUP", "Estimator", "run_estimator", "try_estimator"]
 
 GROUP = "relnav_graph.estimators"
 
@@ -36,3 +37,21 @@ def run_estimator(kind: str, problem: Problem) -> Track:
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
         return estimator.run(problem)
+
+
+def try_estimator(kind: str, problem: Problem) -> Track:
+    """:func:`run_estimator`; what cannot be estimated is a diverged track that says why."""
+    try:
+        return run_estimator(kind, problem)
+    except (EstimationError, GeometryError, ModelError, np.linalg.LinAlgError) as error:
+        count, layout = len(problem.epochs), problem.layout
+        return Track(
+            name=kind,
+            kind="filtered",
+            layout=layout,
+            t=problem.times,
+            x=np.full((count, layout.size), np.nan),
+            P=np.full((count, layout.dim, layout.dim), np.nan),
+            status="diverged",
+            message=f"{type(error).__name__}: {error}",
+        )

@@ -133,8 +133,12 @@ def predict(assembly: Assembly, x: Array, P: Array) -> tuple[Array, Array, Array
 
 
 def _whitened(S: Array, r: Array) -> Array:
-    """L^-1 r with L L^T = S. Raises LinAlgError."""
-    white: Array = solve_triangular(np.linalg.cholesky(S), r, lower=True)
+    """S^-1/2 r, by the symmetric root, which turns no axis from epoch to epoch.
+
+    S = H P H^T + I has no eigenvalue below 1, whatever rounding makes of it.
+    """
+    w, V = np.linalg.eigh(S)
+    white: Array = V @ (V.T @ r / np.sqrt(np.maximum(w, 1.0)))
     return white
 
 

@@ -1,0 +1,91 @@
+"""What the data can tell at all: covariances from the information along a trajectory.
+
+Linearised at the truth, they are the posterior Cramer-Rao bounds of filter and smoother
+(Van Trees 1968; Tichavsky, Muravchik, Nehorai 1998, eq. 21): no unbiased estimator's mean
+squared error lies below, and a consistent one comes close.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly, MeasurementRows, inverse_cholesky
+from relnav_graph.chain import Chain, PriorRows, chain_factors, eliminate
+from relnav_graph.errors import InputError
+from relnav_graph.problem import Problem
+from relnav_graph.track import Track, Truth
+
+__all__ = ["Bounds", "bounds", "true_trajectory"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Tracks whose covariances are the bounds, at the trajectory: of every filter, and of
+    every smoother of the whole pass."""
+
+    filtered: Track
+    smoothed: Track
+
+
+def true_trajectory(problem: Problem, truth: Truth | None) -> Array:
+    """The true states (N, size) at the problem's epochs.
+
+    Raises InputError when truth does not know all of them.
+    """
+    layout, times = problem.layout, problem.times
+    missing = [b.name for b in layout if truth is None or b.name not in truth.values]
+    if truth is None or missing:
+        raise InputError(f"the truth does not know {missing or 'anything'}")
+    k = np.clip(np.searchsorted(truth.t, times - 1e-6), 0, len(truth.t) - 1)
+    if np.abs(truth.t[k] - times).max() > 1e-6:
+        raise InputError("the truth does not know every epoch")
+    parts = [truth.values[b.name][k].reshape(len(times), b.size) for b in layout]
+    x = np.ascontiguousarray(np.hstack(parts))
+    if not np.isfinite(x).all():
+        raise InputError("the truth is not known at every epoch")
+    return x
+
+
+def _filtered(
+    P: Array, F: Array, Q: Array, rows: MeasurementRows, offsets: NDArray[np.int64]
+) -> Array:
+    """The covariance recursion of the Kalman filter, updates in Joseph's form."""
+    one, out = np.eye(len(P)), []
+    for k in range(len(offsets) - 1):
+        if k:
+            P = F[k - 1] @ P @ F[k - 1].T + Q[k - 1]
+        H = rows.H[offsets[k] : offsets[k + 1]]
+        if len(H):
+            gain = np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T
+            left = one - gain @ H
+            P = left @ P @ left.T + gain @ gain.T
+        P = 0.5 * (P + P.T)
+        out.append(P)
+    return np.array(out)
+
+
+def bounds(problem: Problem, x: Array) -> Bounds:
+    """The bounds at the trajectory x (N, size), for the problem's prior covariance.
+
+    Raises InputError, ModelError and GeometryError as `Assembly` does, EstimationError on
+    a system that does not determine every epoch.
+    """
+    layout = problem.layout
+    assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
+    weights = np.ones(assembly.observations)
+    rows = assembly.measure(x, weights)
+    _, F, Q = assembly.transition(x[:-1])
+    prior = PriorRows(np.zeros(layout.dim), inverse_cholesky("the prior", problem.prior.P))
+    process = assembly.process(x, assembly.whitening(Q))
+    chain = Chain(prior, process, rows, assembly.row_offsets, weights)
+    smoothed = eliminate(chain_factors(chain), len(x), layout.dim).covariances()
+    filtered = _filtered(problem.prior.P, F, Q, rows, assembly.row_offsets)
+    return Bounds(
+        Track("filter_bound", "filtered", layout, problem.times, x, filtered),
+        Track("smoother_bound", "smoothed", layout, problem.times, x, smoothed),
+    )

@@ -1,0 +1,63 @@
+"""``relnav explain``: what the sensors of a scenario can tell, before any data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.bounds import true_trajectory
+from relnav_graph.commands import Pass, open_pass, show_progress
+from relnav_graph.errors import InputError
+from relnav_graph.estimators import try_estimator
+from relnav_graph.models import derived_quantities
+from relnav_graph.problem import Problem
+
+
+def _nominal(run: Pass, problem: Problem) -> NDArray[np.float64]:
+    """The truth; of recorded data without one, the batch estimate."""
+    try:
+        return true_trajectory(problem, run.recording.truth)
+    except InputError as error:
+        show_progress(f"{error}: linearised at the batch estimate instead")
+    track = try_estimator("batch", problem)
+    if track.status == "diverged":
+        raise InputError(f"{run.scenario.name}: no trajectory to linearise at: {track.message}")
+    return track.x
+
+
+@click.command("explain")
+@click.argument("scenario", type=click.Path(path_type=Path))
+@click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
+@click.option("--data", type=click.Path(path_type=Path), help="Recorded data to use.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(
+    scenario: Path,
+    seed: int | None,
+    data: Path | None,
+    assignments: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Say what each sensor and process of SCENARIO means, and what to expect of them.
+
+    Noises are shown after discretisation. The 1-sigma of filter and smoother, and the
+    directions that are weak or not observable, follow from the information along the
+    true trajectory of a simulated pass (or along an estimate, where --data has no truth).
+    """
+    from relnav_graph.explain import explain
+    from relnav_graph.tables import explain_table
+
+    run = open_pass(scenario, seed, data, assignments)
+    problem = run.scenario.problem(run.recording, run.seed)
+    found = explain(
+        run.scenario.name,
+        problem,
+        _nominal(run, problem),
+        derived_quantities(run.scenario.layout),
+        run.scenario.window(problem.times),
+    )
+    click.echo(json.dumps(found, allow_nan=False) if as_json else explain_table(found))

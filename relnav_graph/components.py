@@ -1,0 +1,153 @@
+"""Which noise is declared too small or too large: variance components of a smoothed pass.
+
+Noises are put in groups: each sensor, and each density of a process. With whitened
+residuals e_i of group i after smoothing and sigma_j^2 the factor by which the true
+variance of group j exceeds the declared one, E[e_i^T e_i] = sum_j T_ij sigma_j^2, where
+T_ij = ||Q_ij||^2 and Q is the projector on the residuals. Solving for sigma_j^2 is
+Helmert's estimate (Helmert 1907; Grafarend 1984; Amiri-Simkooei 2007, eq. 22), of
+covariance 2 T^-1 where the declared noises are true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.chain import Chain, chain_factors, eliminate, linearize
+from relnav_graph.estimators.gating import residual_weights
+from relnav_graph.models import Dynamics
+from relnav_graph.problem import Problem
+
+__all__ = ["NoiseResiduals", "estimate_factors", "noise_residuals"]
+
+Array = NDArray[np.float64]
+#: The prior is a group too: what it says is part of what the residuals say.
+PRIOR = "prior"
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseResiduals:
+    """Of each group of noises, by its path in the scenario: the squared whitened
+    residuals; coupling: T (groups, groups), where it was asked for. cost: half the sum
+    of all squares at the trajectory itself."""
+
+    squares: Mapping[str, float]
+    cost: float
+    coupling: Array | None = None
+
+
+def _process_groups(processes: Mapping[str, Dynamics], assembly: Assembly) -> Mapping[int, str]:
+    """The group of each error state, as the noise that drives it."""
+    found = dict[int, str]()
+    for name, process in processes.items():
+        noises = process.noises or tuple(b.name for b in process.advances)
+        for block, noise in zip(process.advances, noises, strict=True):
+            places = assembly.layout.tangent(block.name)
+            found |= dict.fromkeys(range(places.start, places.stop), f"processes.{name}.{noise}")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Groups:
+    """Names of the groups, and to which each row of the measurements and each column of
+    the process rows belongs."""
+
+    names: list[str]
+    of_measurement: NDArray[np.int64]
+    of_process: NDArray[np.int64]
+
+    def sums(self, prior: Array, process: Array, measurements: Array) -> Array:
+        """Totals by group of values for each row: (n,), (M, n), (R,)."""
+        count = len(self.names)
+        out = np.bincount(self.of_measurement, measurements, count).astype(np.float64)
+        out += np.bincount(self.of_process, process.sum(axis=0), count)
+        out[self.names.index(PRIOR)] += prior.sum()
+        return out
+
+
+def _groups(problem: Problem, assembly: Assembly) -> _Groups:
+    of_state = _process_groups(problem.processes, assembly)
+    sensors = assembly.sensor_rows
+    names = [f"sensors.{s}" for s in sensors]
+    names += [PRIOR, *dict.fromkeys(of_state[i] for i in range(assembly.layout.dim))]
+    of_measurement = np.zeros(int(assembly.row_offsets[-1]), dtype=np.int64)
+    for name, rows in sensors.items():
+        of_measurement[rows] = names.index(f"sensors.{name}")
+    of_process = np.array([names.index(of_state[i]) for i in range(assembly.layout.dim)])
+    return _Groups(names, of_measurement, of_process)
+
+
+def _residuals(chain: Chain, d: Array) -> tuple[Array, Array, Array]:
+    """Whitened residuals of prior, process and measurements after the step d (N, n)."""
+    p, q, m = chain.prior, chain.process, chain.measurements
+    at = np.repeat(np.arange(len(d)), np.diff(chain.row_offsets))
+    return (
+        p.e + p.A @ d[0],
+        q.e + np.einsum("kij,kj->ki", q.A, d[:-1]) + np.einsum("kij,kj->ki", q.B, d[1:]),
+        m.r + np.einsum("rj,rj->r", m.H, d[at]),
+    )
+
+
+def _coupling(
+    chain: Chain, groups: _Groups, used: NDArray[np.bool_], rng: np.random.Generator
+) -> Array:
+    """T (groups, groups), from one random vector of signs per group (Hutchinson 1990)."""
+    shapes = chain.prior.e.shape, chain.process.e.shape, chain.measurements.r.shape
+    prior, process, measured = (rng.choice((-1.0, 1.0), shape) for shape in shapes)
+    count, n = len(chain.row_offsets) - 1, shapes[0][0]
+    out = np.empty((len(groups.names), len(groups.names)))
+    for j, name in enumerate(groups.names):
+        probe = replace(
+            chain,
+            prior=replace(chain.prior, e=prior * (name == PRIOR)),
+            process=replace(chain.process, e=process * (groups.of_process == j)),
+            measurements=replace(
+                chain.measurements, r=measured * (used & (groups.of_measurement == j))
+            ),
+        )
+        d = eliminate(chain_factors(probe), count, n).solution()
+        out[:, j] = groups.sums(*(e**2 for e in _residuals(probe, d)))
+    return out
+
+
+def noise_residuals(
+    problem: Problem, x: Array, rng: np.random.Generator | None = None
+) -> NoiseResiduals:
+    """Residuals by group at the smoothed trajectory x (N, size), after one more
+    Gauss-Newton step, so that a smoother that stopped a little early is no matter.
+
+    rng: for the coupling of the groups, None to leave that out. Raises GeometryError,
+    ModelError and EstimationError where the trajectory cannot be linearised.
+    """
+    layout = problem.layout
+    assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
+    rows = assembly.measure(x, np.ones(assembly.observations))
+    weights = residual_weights(assembly, rows, problem.gates)
+    whiten = assembly.whitening(assembly.transition(x[:-1])[2])
+    chain = linearize(assembly, problem.prior, x, whiten, weights)
+    found = eliminate(chain_factors(chain), len(x), layout.dim)
+    groups, used = _groups(problem, assembly), assembly.rows_of(weights > 0)
+    squares = groups.sums(*(e**2 for e in _residuals(chain, found.solution())))
+    coupling = None if rng is None else _coupling(chain, groups, used, rng)
+    by_name = dict(zip(groups.names, squares.tolist(), strict=True))
+    return NoiseResiduals(by_name, chain.cost, coupling)
+
+
+def estimate_factors(squares: Array, coupling: Array) -> tuple[Array, Array]:
+    """Factors of the variances (groups,), and their sigmas where all noises are true.
+
+    squares: summed over runs; coupling: T of all those runs together. A group that the
+    data hardly test is left as declared: its factor is 1, its sigma infinite.
+    """
+    T = 0.5 * (coupling + coupling.T)
+    keep = np.diag(T) > 10.0  # below, the factor itself would be known to 45 % at best
+    factor, sigma = np.ones(len(T)), np.full(len(T), np.inf)
+    if keep.any():
+        inner = T[np.ix_(keep, keep)]
+        factor[keep] = np.linalg.solve(inner, squares[keep] - T[np.ix_(keep, ~keep)].sum(axis=1))
+        sigma[keep] = np.sqrt(2 * np.diag(np.linalg.inv(inner)))
+    return factor, sigma

@@ -1,0 +1,266 @@
+"""What a scenario's sensors can tell, before any data: noises after discretisation,
+directions that are weak or not observable, and the sigmas to expect.
+
+All of it follows from the information along a nominal trajectory: the truth of a simulated
+pass, or a smoothed estimate of a recorded one.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.bounds import Bounds, bounds
+from relnav_graph.deviation import estimates
+from relnav_graph.metrics import score_of
+from relnav_graph.models import Derived
+from relnav_graph.problem import Problem
+from relnav_graph.state import Block, Layout
+from relnav_graph.units import convert
+
+__all__ = ["Direction", "explain", "named_directions"]
+
+Array = NDArray[np.float64]
+#: A direction of which the data leave this part of the prior's sigma is called weak, or
+#: not observable.
+WEAK, UNOBSERVABLE = 0.3, 0.9
+#: Least alignment, a cosine, of a direction with the one that it is named after.
+ALIKE = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction in the tangent of an epoch, or several that share a name: the columns
+    of D (n, k). unit and scale: of tables, and from SI to it."""
+
+    name: str
+    D: Array
+    unit: str
+    scale: float
+
+    def members(self) -> Iterator[tuple[str, Array]]:
+        """Each column with its name."""
+        for k, d in enumerate(self.D.T):
+            yield (self.name if self.D.shape[1] == 1 else f"{self.name} ({_LETTERS[k]})"), d
+
+    def alike(self, v: Array, inverse: Array) -> tuple[float, str]:
+        """How near the whitened v (n,) comes to these directions, a cosine, and the name
+        of the nearest; inverse (n, n) whitens."""
+        basis, mixing = np.linalg.qr(inverse @ self.D)
+        part = basis.T @ v
+        if self.D.shape[1] == 1:
+            return float(np.linalg.norm(part)), self.name
+        weights = np.linalg.solve(mixing, part)
+        weights /= np.linalg.norm(weights) * np.sign(weights[np.abs(weights).argmax()])
+        text = ", ".join(f"{round(w, 2) + 0.0:.2f}" for w in weights)
+        return float(np.linalg.norm(part)), f"{self.name} ({text})"
+
+
+_LETTERS = "xyz123456"
+
+
+def named_directions(problem: Problem, x: Array) -> list[Direction]:
+    """Directions that the models name at the state x (size,).
+
+    A model names directions by a method ``directions(*x)``: by name, for every block that
+    it reads (a process: advances and reads) the tangents (dim, k) of k directions.
+    """
+    layout, found = problem.layout, dict[str, Direction]()
+    models: list[tuple[Any, tuple[Block, ...]]] = [
+        (p, p.advances + p.reads) for p in problem.processes.values()
+    ]
+    models += [(s, s.reads) for s in problem.sensors.values()]
+    for model, blocks in models:
+        if not hasattr(model, "directions"):
+            continue
+        values = [layout.value(x, b.name) for b in blocks]
+        for name, parts in model.directions(*values).items():
+            D = np.zeros((layout.dim, parts[0].shape[1]))
+            D[layout.gather(blocks)[1]] = np.concatenate(parts)
+            first = next((b for b, p in zip(blocks, parts, strict=True) if p.any()), None)
+            if first is not None:
+                one = Direction(name, D, first.table_unit, first.table_scale)
+                found.setdefault(name, one)
+    return list(found.values())
+
+
+def _along(d: Array, information: Array, P: Array) -> float:
+    """1-sigma of the amplitude along d, which is found by projection in the prior's
+    metric; information (n,): of the prior."""
+    weight = information * d / (d @ (information * d))
+    return float(np.sqrt(weight @ P @ weight))
+
+
+def _blocks_of(layout: Layout) -> list[Direction]:
+    one = np.eye(layout.dim)
+    return [
+        Direction(
+            f"{b.name.replace('_', ' ')}, in {b.frame[-1:]}",
+            one[:, layout.tangent(b.name)],
+            b.table_unit,
+            b.table_scale,
+        )
+        for b in layout
+    ]
+
+
+def _name(v: Array, inverse: Array, named: list[Direction], blocks: list[Direction]) -> str:
+    """What a whitened direction is called: after the models' own, else after a block,
+    else by its largest parts."""
+    for candidates in (named, blocks):
+        size, name = max((d.alike(v, inverse) for d in candidates), default=(0.0, ""))
+        if size >= ALIKE:
+            return name
+    parts = sorted((d.alike(v, inverse) for d in blocks), reverse=True)
+    return " + ".join(f"{size:.2f} {name}" for size, name in parts[:3])
+
+
+def _weak_directions(problem: Problem, bound: Bounds, x: Array) -> list[dict[str, Any]]:
+    """Directions of the first epoch of which data leave much of the prior, worst first.
+
+    Eigenvectors of the smoothed covariance in units of the prior (its own covariance, so
+    that what is weak does not depend on units).
+    """
+    inverse = np.linalg.inv(np.linalg.cholesky(problem.prior.P))
+    left, vectors = np.linalg.eigh(inverse @ bound.smoothed.P[0] @ inverse.T)
+    named, blocks = named_directions(problem, x), _blocks_of(problem.layout)
+    out = []
+    for value, v in sorted(zip(left, vectors.T, strict=True), key=lambda pair: -pair[0]):
+        kept = float(np.sqrt(max(value, 0.0)))
+        if kept < WEAK:
+            break
+        word = "not observable" if kept >= UNOBSERVABLE else "weak"
+        name = _name(v, inverse, named, blocks)
+        out.append({"direction": name, "kept": kept, "verdict": word})
+    return out
+
+
+def _direction_rows(problem: Problem, bound: Bounds, x: Array) -> list[dict[str, Any]]:
+    """Of each direction that a model names: sigma of prior, filter (last epoch) and
+    smoother (middle epoch), each at its own epoch's state."""
+    information, middle = 1 / np.diag(problem.prior.P), len(x) // 2
+    moments = {
+        "prior": (0, problem.prior.P),
+        "filter_last": (-1, bound.filtered.P[-1]),
+        "smoother_middle": (middle, bound.smoothed.P[middle]),
+    }
+    rows: dict[str, dict[str, Any]] = {}
+    for key, (k, P) in moments.items():
+        for direction in named_directions(problem, x[k]):
+            for name, d in direction.members():
+                row = rows.setdefault(name, {"direction": name, "unit": direction.unit})
+                row[key] = direction.scale * _along(d, information, P)
+    return list(rows.values())
+
+
+def _first_line(model: Any) -> str:
+    return (inspect.getdoc(model) or "").split("\n")[0]
+
+
+def _sensor_rows(problem: Problem) -> list[dict[str, Any]]:
+    out = []
+    for name, sensor in problem.sensors.items():
+        seen = [m for e in problem.epochs for m in e.measurements if m.sensor == name]
+        row: dict[str, Any] = {
+            "name": name,
+            "kind": sensor.kind,
+            "meaning": _first_line(sensor),
+            "measures": list(sensor.columns),
+            "reads": [b.name for b in sensor.reads],
+            "observations": sum(len(m.z) for m in seen),
+            "epochs": len(seen),
+        }
+        if seen:
+            row["sigma"] = _sigmas(sensor.noise(seen[0]))
+        out.append(row)
+    return out
+
+
+def _sigmas(R: Array) -> list[float]:
+    """Of each residual row, the mean over observations."""
+    variances = np.diagonal(R, axis1=1, axis2=2)
+    return [float(s) for s in np.sqrt(variances.mean(axis=0))]
+
+
+def _process_rows(problem: Problem, Q: Array) -> list[dict[str, Any]]:
+    """Noise of each process over its first interval, in table units."""
+    layout, dt = problem.layout, float(np.diff(problem.times[:2])[0])
+    out = []
+    for name, process in problem.processes.items():
+        noise = []
+        for block in process.advances:
+            rows = layout.tangent(block.name)
+            sigma = block.table_scale * np.sqrt(np.diag(Q[0])[rows])
+            unit, values = block.table_unit, [float(s) for s in sigma]
+            noise.append({"block": block.name, "unit": unit, "sigma": values})
+        out.append(
+            {
+                "name": name,
+                "kind": process.kind,
+                "meaning": _first_line(process),
+                "inputs": list(process.inputs),
+                "interval_s": dt,
+                "noise": noise,
+            }
+        )
+    return out
+
+
+def _state_rows(
+    problem: Problem,
+    bound: Bounds,
+    derived: Sequence[Derived],
+    evaluate: tuple[float, float] | None,
+) -> Mapping[str, Any]:
+    """Predicted 1-sigma of every state over the scored part of the pass."""
+    filtered, smoothed = (
+        score_of(t, estimates(t, derived), {}, evaluate).states
+        for t in (bound.filtered, bound.smoothed)
+    )
+    out = {}
+    for name, state in filtered.items():
+        prior = None
+        if name in problem.layout:
+            rows = problem.layout.tangent(name)
+            block = problem.layout.block(name)
+            trace = np.trace(problem.prior.P[rows, rows])
+            prior = float(convert(np.sqrt(trace), block.unit, block.table_unit))
+        out[name] = {
+            "unit": state.unit,
+            "prior": prior,
+            "filter": state.sigma,
+            "smoother": smoothed[name].sigma,
+        }
+    return out
+
+
+def explain(
+    name: str,
+    problem: Problem,
+    x: Array,
+    derived: Sequence[Derived],
+    evaluate: tuple[float, float] | None,
+) -> dict[str, Any]:
+    """The object of ``relnav explain --json``, at the nominal trajectory x (N, size).
+
+    Raises what :func:`relnav_graph.bounds.bounds` raises.
+    """
+    bound = bounds(problem, x)
+    assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
+    Q = assembly.transition(x[:-1])[2]
+    return {
+        "schema": 1,
+        "scenario": name,
+        "epochs": len(x),
+        "sensors": _sensor_rows(problem),
+        "processes": _process_rows(problem, Q) if len(x) > 1 else [],
+        "states": _state_rows(problem, bound, derived, evaluate),
+        "directions": _direction_rows(problem, bound, x),
+        "weak": _weak_directions(problem, bound, x[0]),
+    }

@@ -1,0 +1,172 @@
+"""Records of many runs, added up: one at a time, in order, so that memory stays flat and
+the last digit does not depend on who ran what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.study.record import Record
+from relnav_graph.track import Kind
+
+__all__ = ["Collected", "RowRuns", "collect"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class _Sum:
+    """Sum over runs of arrays of one shape, counting finite numbers only."""
+
+    total: Array | None = None
+    count: Array | None = None
+
+    def add(self, values: Array) -> None:
+        known = np.isfinite(values)
+        if self.total is None or self.count is None:
+            self.total, self.count = np.zeros(values.shape), np.zeros(values.shape)
+        if self.total.shape == values.shape:
+            self.total += np.where(known, values, 0.0)
+            self.count += known
+
+    @property
+    def mean(self) -> Array:
+        """NaN where no run had a number."""
+        assert self.total is not None
+        assert self.count is not None
+        with np.errstate(invalid="ignore"):
+            return np.array(self.total / self.count)
+
+
+@dataclass(eq=False)
+class RowRuns:
+    """One row (a track of an estimator) over the runs in which it exists.
+
+    state: of each state and key, one number per run, NaN where there is none; the same
+    for sensor (innovations) and for the row as a whole.
+    """
+
+    kind: Kind = "filtered"
+    units: dict[str, str] = field(default_factory=dict)
+    freedoms: dict[str, int] = field(default_factory=dict)
+    bad: list[tuple[int, str, str]] = field(default_factory=list)
+    rejected: dict[str, int] = field(default_factory=dict)
+    own: dict[str, list[float]] = field(default_factory=dict)
+    timing: dict[str, list[float]] = field(default_factory=dict)
+    state: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    sensor: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    series: _Sum = field(default_factory=_Sum)
+    nis: _Sum = field(default_factory=_Sum)
+    squares: dict[str, list[float]] = field(default_factory=dict)
+    coupling: _Sum = field(default_factory=_Sum)
+
+    def of(self, state: str, key: str) -> Array:
+        """A number per run, (runs,)."""
+        return np.array(self.state.get((state, key), []))
+
+    def of_sensor(self, sensor: str, key: str) -> Array:
+        """A number per run, (runs,)."""
+        return np.array(self.sensor.get((sensor, key), []))
+
+
+@dataclass(eq=False)
+class Collected:
+    """All runs; bound: 1-sigma by kind and state, one number per run."""
+
+    runs: list[int] = field(default_factory=list)
+    rows: dict[str, RowRuns] = field(default_factory=dict)
+    failed: list[tuple[int, str]] = field(default_factory=list)
+    bound: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    bound_series: dict[str, _Sum] = field(default_factory=dict)
+    mcreynolds: dict[tuple[str, str, str, str], list[float]] = field(default_factory=dict)
+
+
+def _number(value: Any) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _put(table: dict[Any, list[float]], key: Any, value: Any, before: int) -> None:
+    """Append a number; runs before the first one have none."""
+    column = table.setdefault(key, [])
+    column += [np.nan] * (before - len(column))
+    column.append(_number(value))
+
+
+def _add_row(row: RowRuns, scalars: Mapping[str, Any], run: int, before: int) -> None:
+    status = scalars["status"]
+    if status != "ok":
+        row.bad.append((run, status, scalars["message"]))
+    if status == "diverged":
+        return  # without numbers, and its kind may be wrong
+    row.kind = scalars["kind"]
+    row.freedoms["joint"] = max(row.freedoms.get("joint", 0), scalars["freedoms"])
+    _put(row.own, "anees", scalars["anees"], before)
+    for sensor, count in scalars["rejected"].items():
+        row.rejected[sensor] = row.rejected.get(sensor, 0) + count
+    for name, values in scalars["states"].items():
+        row.units[name] = values["unit"]
+        row.freedoms[name] = max(row.freedoms.get(name, 0), values.get("freedoms", 0))
+        for key, value in values.items():
+            if key not in ("unit", "freedoms"):
+                _put(row.state, (name, key), value, before)
+    for sensor, values in scalars["innovations"].items():
+        for key, value in values.items():
+            _put(row.sensor, (sensor, key), value, before)
+
+
+def _add(found: Collected, record: Record) -> None:
+    scalars, run, before = record.scalars, int(record.scalars["run"]), len(found.runs)
+    found.runs.append(run)
+    if "failed" in scalars:
+        found.failed.append((run, scalars["failed"]))
+        return
+    for name, values in scalars["rows"].items():
+        row = found.rows.setdefault(name, RowRuns())
+        _add_row(row, values, run, before)
+        for key, value in scalars["timing"][name].items():
+            parts = value.items() if isinstance(value, Mapping) else [(key, value)]
+            for part, seconds in parts:
+                _put(row.timing, part, seconds, before)
+        if values["status"] != "diverged":
+            row.series.add(record.series[name])
+            row.nis.add(record.series[f"nis {name}"])
+        residuals = scalars["noise"].get(name, {})
+        for noise, value in residuals.get("squares", {}).items():
+            _put(row.squares, noise, value, before)
+        if "cost" in residuals:
+            _put(row.own, "cost", residuals["cost"], before)
+        if f"coupling {name}" in record.series:
+            row.coupling.add(record.series[f"coupling {name}"])
+    for kind, states in scalars["bound"].items():
+        for state, value in states.items():
+            _put(found.bound, (kind, state), value, before)
+        total = found.bound_series.setdefault(kind, _Sum())
+        total.add(record.series[f"bound {kind}"])
+    for filtered, others in scalars["mcreynolds"].items():
+        for smoothed, states in others.items():
+            for state, values in states.items():
+                for key, value in values.items():
+                    _put(found.mcreynolds, (filtered, smoothed, state, key), value, before)
+
+
+def _pad(found: Collected) -> None:
+    """Numbers of all runs in every column, also where the last runs have none."""
+    tables: list[dict[Any, list[float]]] = [found.bound, found.mcreynolds]
+    for row in found.rows.values():
+        tables += [row.own, row.timing, row.state, row.sensor, row.squares]
+    for table in tables:
+        for column in table.values():
+            column += [np.nan] * (len(found.runs) - len(column))
+
+
+def collect(records: Iterable[Record]) -> Collected:
+    """Records, in the order of their runs, added up."""
+    found = Collected()
+    for record in records:
+        _add(found, record)
+    _pad(found)
+    return found

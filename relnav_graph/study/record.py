@@ -1,0 +1,259 @@
+"""What one run of a study leaves: numbers of a fixed size, however long the pass.
+
+A record holds scalars of each run, which intervals over runs need, and series over the
+pass in at most `BINS` bins, which are summed over runs. So the memory of a study does not
+grow with its runs, and its folder only by some hundred kilobytes a run.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.bounds import bounds, true_trajectory
+from relnav_graph.components import noise_residuals
+from relnav_graph.deviation import StateErrors, StateEstimates, deviations, estimates, joint, nees
+from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.metrics import Score, score_of, step_ms, with_smoothed
+from relnav_graph.models import Derived
+from relnav_graph.problem import Problem
+from relnav_graph.track import Innovations, Track, Truth
+
+__all__ = ["BINS", "Record", "make_record"]
+
+Array = NDArray[np.float64]
+BINS = 100
+#: Runs in which the coupling of the noises is estimated: it hardly differs between runs.
+COUPLED_RUNS = 8
+#: Series of a state: mean squared error, mean NEES per freedom, mean trace of P; SI.
+SERIES = ("squared_error", "nees", "trace")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Of one run: scalars, a tree that JSON can hold, and series, arrays by name."""
+
+    scalars: Mapping[str, Any]
+    series: Mapping[str, Array]
+
+    def to_bytes(self) -> bytes:
+        """A NumPy archive; each member bears a checksum."""
+        image = io.BytesIO()
+        text = np.frombuffer(json.dumps(self.scalars).encode(), dtype=np.uint8)
+        np.savez(image, allow_pickle=False, scalars=text, **self.series)
+        return image.getvalue()
+
+    @staticmethod
+    def from_bytes(content: bytes, where: str) -> Record:
+        """The inverse of :meth:`to_bytes`. Raises InputError on damaged content."""
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+            return Record(json.loads(arrays.pop("scalars").tobytes()), arrays)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"{where}: not a readable record of a run: {error}") from error
+
+
+def bin_edges(count: int) -> NDArray[np.int64]:
+    """First epoch of each bin, and the epoch after the last."""
+    return np.linspace(0, count, min(count, BINS) + 1).round().astype(np.int64)
+
+
+def _binned(at: NDArray[np.int64], values: Array, count: int) -> Array:
+    """Means over bins of values (m, ...) at epochs `at`; NaN where a bin has none."""
+    edges = bin_edges(count)
+    where = np.searchsorted(edges, at, side="right") - 1
+    n = len(edges) - 1
+    seen = np.bincount(where, minlength=n)
+    with np.errstate(invalid="ignore"):
+        return np.array(np.bincount(where, values, n) / seen)
+
+
+def _settled(s: StateErrors, bound: StateEstimates | None) -> float | None:
+    """Time from the first epoch, s, after which the error stays within three sigma of
+    what the bound comes to (its largest over the second half). None: never."""
+    if bound is None:
+        return None
+    trace = np.trace(bound.P, axis1=1, axis2=2)
+    limit = 9 * trace[len(trace) // 2 :].max()
+    beyond = np.flatnonzero(~((s.e**2).sum(axis=1) <= limit))
+    if not len(beyond):
+        return 0.0
+    return float(s.t[beyond[-1] + 1] - s.t[0]) if beyond[-1] + 1 < len(s.t) else None
+
+
+def _state_scalars(name: str, score: Score, settled: float | None) -> dict[str, Any]:
+    s = score.states[name]
+    known = ("rmse", "rmse_last", "anees", "freedoms")
+    inside = ("inside_1sigma", "inside_2sigma", "inside_3sigma")
+    values = {key: getattr(s, key) for key in (*known, *inside)} if len(s.t) else {}
+    return {"unit": s.unit, "sigma": s.sigma, **values, "settled_s": settled}
+
+
+def _innovation_scalars(i: Innovations) -> dict[str, float]:
+    """NIS, and the product of each innovation with the one before, over shared rows."""
+    shared = np.minimum(i.rows[1:], i.rows[:-1])
+    pairs = zip(i.offsets[:-2], i.offsets[1:-1], shared, strict=True)
+    product = sum(float(i.v[a : a + m] @ i.v[b : b + m]) for a, b, m in pairs)
+    return {
+        "nis": float(i.nis.sum()),
+        "rows": int(i.rows.sum()),
+        "lag_product": product,
+        "lag_rows": int(shared.sum()),
+    }
+
+
+def _mcreynolds(
+    filtered: Mapping[str, StateEstimates], smoothed: Mapping[str, StateEstimates]
+) -> dict[str, dict[str, float]]:
+    """Filter-smoother consistency (McReynolds 1980; Gelb 1974, sec. 5.4; Jerath, Lichten):
+    the difference of both estimates has the covariance P_f - P_s where both are right."""
+    found = {}
+    for name, f in filtered.items():
+        s = smoothed.get(name)
+        if s is None or f.block != s.block:
+            continue
+        d = f.block.local(f.value, s.value)
+        variance = np.diagonal(f.P - s.P, axis1=1, axis2=2)
+        # Where smoothing gains nothing the ratio is one of rounding errors.
+        tested = variance > 1e-6 * np.diagonal(f.P, axis1=1, axis2=2)
+        tested &= np.isfinite(d) & np.isfinite(variance)
+        if tested.any():
+            ratio = d[tested] ** 2 / variance[tested]
+            found[name] = {
+                "mean_square": float(ratio.mean()),
+                "inside_3sigma": float((ratio <= 9).mean()),
+            }
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    track: Track
+    states: Mapping[str, StateEstimates]
+    found: Mapping[str, StateErrors]
+
+
+def _series(row: _Row, order: Sequence[str]) -> Array:
+    """(states + 1, 3, bins): of each state, and last of all blocks jointly (NEES only)."""
+    t, count = row.track.t, len(row.track.t)
+    out = np.full((len(order) + 1, len(SERIES), len(bin_edges(count)) - 1), np.nan)
+    epochs = np.arange(count)
+    for k, name in enumerate(order):
+        state = row.states[name]
+        out[k, 2] = _binned(epochs, np.trace(state.P, axis1=1, axis2=2), count)
+        if name in row.found:
+            s = row.found[name]
+            at = np.searchsorted(t, s.t - 1e-9)
+            value, rank = nees(s.e, s.P)
+            out[k, 0] = _binned(at, (s.e**2).sum(axis=1), count)
+            out[k, 1] = _binned(at, value / np.maximum(rank, 1), count)
+    e, P = joint(row.found.values(), row.track)
+    if len(e) == count:
+        value, rank = nees(e, P)
+        out[-1, 1] = _binned(epochs, value / np.maximum(rank, 1), count)
+    return out
+
+
+def _nis_series(track: Track, order: Sequence[str]) -> Array:
+    """(sensors, bins): mean NIS per row."""
+    count = len(track.t)
+    out = np.full((len(order), len(bin_edges(count)) - 1), np.nan)
+    for k, name in enumerate(order):
+        i = track.innovations[name]
+        out[k] = _binned(np.searchsorted(track.t, i.t - 1e-9), i.nis / i.rows, count)
+    return out
+
+
+def _row_scalars(row: _Row, score: Score, bound: Mapping[str, StateEstimates]) -> dict[str, Any]:
+    track = row.track
+    settled = {
+        name: _settled(row.found[name], bound.get(name)) if name in row.found else None
+        for name in row.states
+    }
+    return {
+        "kind": track.kind,
+        "status": track.status,
+        "message": track.message,
+        "rejected": {k: int(v) for k, v in track.rejected.items()},
+        "anees": score.anees,
+        "freedoms": score.freedoms,
+        "states": {n: _state_scalars(n, score, settled[n]) for n in score.states},
+        "innovations": {n: _innovation_scalars(i) for n, i in track.innovations.items()},
+    }
+
+
+def make_record(
+    run: int,
+    problem: Problem,
+    truth: Truth | None,
+    tracks: Sequence[Track],
+    derived: Sequence[Derived],
+    evaluate: tuple[float, float] | None,
+    rng: np.random.Generator,
+) -> Record:
+    """The record of a run. rng: for what is estimated by random probes.
+
+    Raises InputError where truth and tracks do not fit together.
+    """
+    scalars: dict[str, Any] = {"run": run, "rows": {}, "bound": {}, "noise": {}, "timing": {}}
+    series: dict[str, Array] = {}
+    limits: dict[str, dict[str, StateEstimates]] = {}
+    try:
+        limit = bounds(problem, true_trajectory(problem, truth))
+        limits = {t.kind: estimates(t, derived) for t in (limit.filtered, limit.smoothed)}
+        for track in (limit.filtered, limit.smoothed):
+            found = score_of(track, limits[track.kind], {}, evaluate)
+            scalars["bound"][track.kind] = {n: s.sigma for n, s in found.states.items()}
+            row = _Row(track, limits[track.kind], {})
+            series[f"bound {track.kind}"] = _series(row, list(row.states))
+    except RelnavError as error:
+        scalars["bound_missing"] = str(error)
+    rows: dict[str, _Row] = {}
+    for name, track in with_smoothed(tracks).items():
+        states = estimates(track, derived)
+        errors = {} if truth is None else deviations(states, track.t, truth, derived)
+        row = rows[name] = _Row(track, states, errors)
+        score = score_of(track, states, errors, evaluate)
+        limit_states = limits.get("filtered" if track.kind == "filtered" else "smoothed", {})
+        scalars["rows"][name] = _row_scalars(row, score, limit_states)
+        scalars["timing"][name] = {"runtime_s": track.runtime_s, **step_ms(track.step_s)}
+        series[name] = _series(row, list(states))
+        series[f"nis {name}"] = _nis_series(track, list(track.innovations))
+        if track.kind == "smoothed" and track.status != "diverged":
+            _add_noise(scalars, series, name, problem, track, rng if run < COUPLED_RUNS else None)
+    scalars["mcreynolds"] = {
+        f: {s: _mcreynolds(a.states, b.states) for s, b in rows.items() if _pair(a, b)}
+        for f, a in rows.items()
+        if a.track.kind == "filtered"
+    }
+    return Record(scalars, series)
+
+
+def _pair(a: _Row, b: _Row) -> bool:
+    return b.track.kind == "smoothed" and "diverged" not in (a.track.status, b.track.status)
+
+
+def _add_noise(
+    scalars: dict[str, Any],
+    series: dict[str, Array],
+    name: str,
+    problem: Problem,
+    track: Track,
+    rng: np.random.Generator | None,
+) -> None:
+    try:
+        found = noise_residuals(problem, track.x, rng)
+    except RelnavError as error:
+        scalars["noise"][name] = {"missing": str(error)}
+        return
+    scalars["noise"][name] = {"squares": dict(found.squares), "cost": found.cost}
+    if found.coupling is not None:
+        series[f"coupling {name}"] = found.coupling

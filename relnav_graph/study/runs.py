@@ -1,0 +1,94 @@
+"""One run of a study: simulate, estimate, record. Depends on nothing but its number."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from relnav_graph import sim
+from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.estimators import try_estimator
+from relnav_graph.models import derived_quantities
+from relnav_graph.scenario import Scenario, make_scenario
+from relnav_graph.study.record import Record, make_record
+
+__all__ = ["StudySpec", "run_record", "warm_up"]
+
+
+@dataclass(frozen=True)
+class StudySpec:
+    """What decides the numbers of a study, and nothing else.
+
+    raw: the tables of the scenario, as in its file; seed: root of all random numbers;
+    estimators: kinds, in order.
+    """
+
+    name: str
+    raw: Mapping[str, Any]
+    seed: int
+    estimators: tuple[str, ...]
+
+    def to_json(self) -> str:
+        """A text that tells two specs apart, and travels to workers. The order of tables
+        stays: the state is laid out, and drawn, in the order of the processes."""
+        return json.dumps(asdict(self))
+
+    @staticmethod
+    def of(scenario: Scenario, seed: int | None, estimators: tuple[str, ...]) -> StudySpec:
+        """Of a scenario that can be simulated; its own seed and estimators by default.
+
+        Raises InputError on one that cannot.
+        """
+        if scenario.truth is None:
+            raise InputError(f"{scenario.name}: no [truth] to draw runs from; a study needs one")
+        chosen = dict.fromkeys(estimators or scenario.file.estimators)
+        seed = scenario.file.seed if seed is None else seed
+        return StudySpec(scenario.name, dict(scenario.raw), seed, tuple(chosen))
+
+
+@lru_cache(maxsize=4)
+def _prepared(spec_json: str) -> tuple[StudySpec, Scenario]:
+    """Spec and scenario, made once in each worker."""
+    fields = json.loads(spec_json)
+    spec = StudySpec(**{**fields, "estimators": tuple(fields["estimators"])})
+    return spec, make_scenario(spec.raw, spec.name)
+
+
+def warm_up(spec_json: str) -> None:
+    """Compile what the runs will need, in time for workers to find it compiled."""
+    spec, scenario = _prepared(spec_json)
+    problem = scenario.problem(scenario.simulate(spec.seed, 0), spec.seed, 0)
+    for kind in spec.estimators:
+        try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
+
+
+def run_record(spec_json: str, run: int) -> bytes:
+    """The record of a run, as bytes. A run that fails gives a record that says why."""
+    spec, scenario = _prepared(spec_json)
+    # On one thread throughout: the order of sums, and so the last digit, depends on it.
+    with threadpool_limits(1, "blas"):
+        try:
+            record = _run(spec, scenario, run)
+        except (RelnavError, ArithmeticError, np.linalg.LinAlgError) as error:
+            record = Record({"run": run, "failed": f"{type(error).__name__}: {error}"}, {})
+    return record.to_bytes()
+
+
+def _run(spec: StudySpec, scenario: Scenario, run: int) -> Record:
+    recording = scenario.simulate(spec.seed, run)
+    problem = scenario.problem(recording, spec.seed, run)
+    return make_record(
+        run,
+        problem,
+        recording.truth,
+        [try_estimator(kind, problem) for kind in spec.estimators],
+        derived_quantities(scenario.layout),
+        scenario.window(problem.times),
+        sim.stream(spec.seed, run, "probes"),
+    )

@@ -1,0 +1,252 @@
+"""The summary of a study: accuracy with intervals, consistency with bands, bounds.
+
+RMSE intervals and paired differences are 95 % percentile intervals of a bootstrap over
+runs (Efron and Tibshirani 1993, ch. 13): runs are independent, epochs of a run are not.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.deviation import chi2_band
+from relnav_graph.metrics import versions
+from relnav_graph.study.collect import Collected, RowRuns
+from relnav_graph.study.runs import StudySpec
+
+__all__ = ["rmse_precision", "summarize"]
+
+Array = NDArray[np.float64]
+RESAMPLES = 1000
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else np.nan
+
+
+def _root_mean_square(values: Array) -> float:
+    return float(np.sqrt(_mean(values**2)))
+
+
+def _bootstrap(columns: Array, seed: int) -> Array:
+    """Means of columns (runs, m) over resampled runs, (RESAMPLES, m); runs that a column
+    lacks (NaN) do not count."""
+    runs = len(columns)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0xB007,)))
+    known = np.isfinite(columns)
+    values, out = np.where(known, columns, 0.0), []
+    for _ in range(0, RESAMPLES, 100):  # in parts: memory for many runs
+        times = rng.multinomial(runs, np.full(runs, 1 / runs), size=100).astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            out.append((times @ values) / (times @ known))
+    return np.concatenate(out)
+
+
+def _interval(samples: Array) -> list[float] | None:
+    known = samples[np.isfinite(samples)]
+    if not len(known):
+        return None
+    low, high = np.percentile(known, (2.5, 97.5))
+    return [float(low), float(high)]
+
+
+def _rmse_intervals(rows: dict[str, RowRuns], seed: int) -> dict[tuple[str, str], Any]:
+    """Of each row and state; None where fewer than two runs have a number."""
+    keys = [(name, state) for name, row in rows.items() for state in row.units]
+    columns = {k: rows[k[0]].of(k[1], "rmse") ** 2 for k in keys}
+    columns = {k: v for k, v in columns.items() if np.isfinite(v).sum() > 1}
+    if not columns:
+        return {}
+    means = _bootstrap(np.column_stack(list(columns.values())), seed)
+    return {k: _interval(np.sqrt(m)) for k, m in zip(columns, means.T, strict=True)}
+
+
+def rmse_precision(found: Collected, seed: int) -> float:
+    """The widest of all RMSE intervals: half its width in parts of the RMSE."""
+    widest = 0.0
+    for (name, state), interval in _rmse_intervals(found.rows, seed).items():
+        rmse = _root_mean_square(found.rows[name].of(state, "rmse"))
+        if interval is not None and rmse > 0:
+            widest = max(widest, (interval[1] - interval[0]) / (2 * rmse))
+    return widest or math.inf
+
+
+def _band(freedoms: int, runs: int) -> list[float] | None:
+    return list(chi2_band(freedoms, runs)) if freedoms and runs else None
+
+
+def _state(row: RowRuns, name: str, bound: Array, interval: Any) -> dict[str, Any]:
+    rmse, runs = row.of(name, "rmse"), int(np.isfinite(row.of(name, "anees")).sum())
+    out: dict[str, Any] = {"unit": row.units[name]}
+    if len(rmse):
+        total, limit = _root_mean_square(rmse), _root_mean_square(bound[np.isfinite(rmse)])
+        out |= {
+            "rmse": _number(total),
+            "rmse_ci": interval,
+            "rmse_last": _number(_root_mean_square(row.of(name, "rmse_last"))),
+        }
+    out["sigma"] = _number(_root_mean_square(row.of(name, "sigma")))
+    if len(rmse):
+        settled = row.of(name, "settled_s")[np.isfinite(rmse)]
+        done = settled[np.isfinite(settled)]
+        out |= {
+            "bound": _number(limit),
+            "efficiency": _number(total / limit) if limit > 0 else None,
+            "anees": _number(_mean(row.of(name, "anees"))),
+            "anees_band": _band(row.freedoms[name], runs),
+            **{k: _number(_mean(row.of(name, k))) for k in _INSIDE},
+            "convergence_s": _number(np.median(done)) if len(done) else None,
+            "converged": len(done) / len(settled) if len(settled) else None,
+        }
+    return out
+
+
+_INSIDE = ("inside_1sigma", "inside_2sigma", "inside_3sigma")
+
+
+def _sensor(row: RowRuns, name: str) -> dict[str, Any]:
+    """NIS per row and the correlation of innovations with the ones before: for a
+    consistent filter they are white, so that all rows of all runs narrow the bands."""
+    nis, rows, product, lag_rows = (
+        np.nansum(row.of_sensor(name, k)) for k in ("nis", "rows", "lag_product", "lag_rows")
+    )
+    edge = 1.96 / math.sqrt(lag_rows) if lag_rows else None
+    return {
+        "nis": _number(nis / rows),
+        "nis_band": _band(int(rows), 1),
+        "lag_correlation": _number(product / lag_rows) if lag_rows else None,
+        "lag_band": None if edge is None else [-edge, edge],
+    }
+
+
+def _timing(row: RowRuns) -> dict[str, Any]:
+    medians = {k: _number(np.nanmedian(v)) for k, v in row.timing.items()}
+    steps = {k: v for k, v in medians.items() if k != "runtime_s"}
+    return {"runtime_s": medians.get("runtime_s"), **({"step_ms": steps} if steps else {})}
+
+
+def _status(row: RowRuns, runs: int) -> tuple[str, str]:
+    counts = {s: sum(1 for _, found, _ in row.bad if found == s) for s in ("diverged", "degraded")}
+    if not row.bad:
+        return "ok", ""
+    words = " and ".join(f"{n} {status}" for status, n in counts.items() if n)
+    return "degraded" if counts["diverged"] < runs else "diverged", f"of {runs} runs {words}"
+
+
+def _row(name: str, found: Collected, intervals: dict[tuple[str, str], Any]) -> dict[str, Any]:
+    row = found.rows[name]
+    status, message = _status(row, len(found.runs))
+    anees = np.array(row.own.get("anees", []))
+    counted = int(np.isfinite(anees).sum())
+    # A fixed-lag estimate lies between both bounds, and has none of its own.
+    bound = {s: np.array(found.bound.get((row.kind, s), np.full(len(found.runs), np.nan)))
+             for s in row.units}  # fmt: skip
+    return {
+        "kind": row.kind,
+        "status": status,
+        "message": message,
+        **_timing(row),
+        "runs": len(found.runs) - len(found.failed) - sum(s == "diverged" for _, s, _ in row.bad),
+        "anees": _number(_mean(anees)),
+        "anees_band": _band(row.freedoms.get("joint", 0), counted),
+        "rejected": row.rejected,
+        "states": {s: _state(row, s, bound[s], intervals.get((name, s))) for s in row.units},
+        "sensors": {s: _sensor(row, s) for s in dict.fromkeys(s for s, _ in row.sensor)},
+    }
+
+
+def _paired(rows: dict[str, RowRuns], seed: int) -> list[dict[str, Any]]:
+    """What part of the RMSE of `a` is gone in `b`, on the runs that both have."""
+    keys, columns = [], []
+    for a, b in combinations(rows, 2):
+        for state in rows[a].units:
+            first, second = rows[a].of(state, "rmse"), rows[b].of(state, "rmse")
+            if len(first) and len(second):
+                both = np.isfinite(first) & np.isfinite(second)
+                if both.sum() > 1:
+                    keys.append((a, b, state))
+                    columns += [np.where(both, v**2, np.nan) for v in (first, second)]
+    if not keys:
+        return []
+    table = np.column_stack(columns)
+    means = _bootstrap(table, seed)
+    out: dict[tuple[str, str], dict[str, Any]] = {}
+    for k, (a, b, state) in enumerate(keys):
+        first, second = table[:, 2 * k], table[:, 2 * k + 1]
+        both = np.isfinite(first)
+        one = {
+            "improvement": _number(1 - math.sqrt(_mean(second) / _mean(first)))
+            if _mean(first) > 0
+            else None,
+            "improvement_ci": _interval(1 - np.sqrt(means[:, 2 * k + 1] / means[:, 2 * k]))
+            if _mean(first) > 0
+            else None,
+            "better_in": float((second < first)[both].mean()),
+            "runs": int(both.sum()),
+        }
+        pair = {"a": a, "b": b, "kinds": [rows[a].kind, rows[b].kind], "states": {}}
+        out.setdefault((a, b), pair)["states"][state] = one
+    return list(out.values())
+
+
+def _mcreynolds(found: Collected) -> list[dict[str, Any]]:
+    pairs: dict[tuple[str, str], dict[str, Any]] = {}
+    for (filtered, smoothed, state, key), values in found.mcreynolds.items():
+        pair = {"filtered": filtered, "smoothed": smoothed, "states": {}}
+        states = pairs.setdefault((filtered, smoothed), pair)["states"]
+        states.setdefault(state, {})[key] = _number(_mean(np.array(values)))
+    return list(pairs.values())
+
+
+def _bad_runs(found: Collected, rerun: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Runs without a result, and those with one not to be trusted, with the command that
+    runs each of them alone."""
+    failed: list[dict[str, Any]] = [
+        {"run": run, "estimator": None, "status": "failed", "message": text,
+         "command": f"{rerun} --run {run}"}
+        for run, text in found.failed
+    ]  # fmt: skip
+    degraded: list[dict[str, Any]] = []
+    for name, row in found.rows.items():
+        kind = name.removesuffix("_smoothed")
+        for run, status, text in row.bad:
+            one = {
+                "run": run,
+                "estimator": name,
+                "status": status,
+                "message": text,
+                "command": f"{rerun} --run {run} -e {kind}",
+            }
+            (failed if status == "diverged" else degraded).append(one)
+    return failed, degraded
+
+
+def summarize(spec: StudySpec, found: Collected, epochs: int, rerun: str) -> dict[str, Any]:
+    """The object of ``relnav study --json``, without its verdict: strict JSON, schema 1.
+
+    rerun: the command that runs one run of the study alone, but for its number.
+    """
+    intervals = _rmse_intervals(found.rows, spec.seed)
+    failed, degraded = _bad_runs(found, rerun)
+    return {
+        "schema": 1,
+        "scenario": spec.name,
+        "seed": spec.seed,
+        "epochs": epochs,
+        "runs": len(found.runs),
+        "failed": failed,
+        "degraded": degraded,
+        "versions": versions(),
+        "estimators": {name: _row(name, found, intervals) for name in found.rows},
+        "paired": _paired(found.rows, spec.seed),
+        "mcreynolds": _mcreynolds(found),
+    }

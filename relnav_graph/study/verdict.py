@@ -1,0 +1,178 @@
+"""The verdict of a study in plain words: which estimates tell the truth about themselves,
+and which declared noise is the likely cause where they do not.
+
+An ANEES or NIS outside its 95 % band counts where it also means an error of more than
+`TOLERANCE` in sigma: with enough runs every small nonlinearity leaves the band.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.components import PRIOR, estimate_factors
+from relnav_graph.scenario import Scenario
+from relnav_graph.study.collect import Collected, RowRuns
+
+__all__ = ["verdict"]
+
+#: Relative error of sigma that is let pass.
+TOLERANCE = 0.05
+#: A noise is named where its factor is this many sigmas from 1, and this far from it.
+SIGNIFICANT, NOTABLE = 4.0, 1.25
+
+
+def _judge(ratio: float | None, band: list[float] | None) -> dict[str, Any] | None:
+    """How a mean normalised square compares with 1: what it says of sigma."""
+    if ratio is None or band is None:
+        return None
+    factor = math.sqrt(max(ratio, 0.0))
+    word = "consistent"
+    if not band[0] <= ratio <= band[1] and abs(factor - 1) > TOLERANCE:
+        word = "optimistic" if factor > 1 else "pessimistic"
+    return {"verdict": word, "factor": factor}
+
+
+def _owners(scenario: Scenario) -> dict[str, str]:
+    """Of each noise, what it belongs to, in words."""
+    found = {f"sensors.{name}": f"sensor {name} ({s.kind})" for name, s in scenario.sensors.items()}
+    for name, process in scenario.processes.items():
+        inputs = " and ".join(process.inputs)
+        driven = f", of the input {inputs}" if inputs else ""
+        for noise in process.noises or tuple(b.name for b in process.advances):
+            found[f"processes.{name}.{noise}"] = f"process {name} ({process.kind}{driven})"
+    return found
+
+
+def _noises(row: RowRuns) -> list[dict[str, Any]]:
+    """The factor of each declared sigma, with its 95 % interval."""
+    names = list(row.squares)
+    squares = np.array([row.squares[n] for n in names])  # (groups, runs)
+    runs = int(np.isfinite(squares).all(axis=0).sum())
+    total = np.where(np.isfinite(squares), squares, 0.0).sum(axis=1)
+    variance, sigma = estimate_factors(total, runs * row.coupling.mean)
+    out = []
+    for name, v, s in zip(names, variance.tolist(), sigma.tolist(), strict=True):
+        tested = math.isfinite(s) and name != PRIOR
+        # The spread of an estimated variance goes with the variance.
+        low, high = (max(v + k * s * max(v, 1.0), 0.0) for k in (-1.96, 1.96))
+        factor = math.sqrt(max(v, 0.0))
+        notable = max(factor, 1 / max(factor, 1e-9)) > NOTABLE
+        out.append(
+            {
+                "noise": name,
+                "tested": tested,
+                "factor": factor if tested else None,
+                "factor_ci": [math.sqrt(low), math.sqrt(high)] if tested else None,
+                "named": tested and notable and abs(v - 1) > SIGNIFICANT * s,
+            }
+        )
+    return out
+
+
+def _cause_text(noise: Mapping[str, Any], owners: Mapping[str, str]) -> str:
+    factor, (low, high) = noise["factor"], noise["factor_ci"]
+    size = "too small" if factor > 1 else "too large"
+    if factor < 1:
+        low, factor, high = 1 / high, 1 / max(factor, 1e-9), 1 / max(low, 1e-9)
+    upper = f"{high:.2f}" if high < 1e6 else "more"
+    return (
+        f"{noise['noise']} is declared {factor:.2f} times {size} ({low:.2f} to {upper}):"
+        f" {owners.get(noise['noise'], '')}"
+    )
+
+
+def _state_text(name: str, row: Mapping[str, Any], states: Mapping[str, Any]) -> str:
+    wrong = {s: v for s, v in states.items() if v["verdict"] != "consistent"}
+    if not wrong:
+        return f"{name} ({row['kind']}): consistent in all {len(states)} states."
+    words = [f"{s} {v['verdict']} ({v['factor']:.2f})" for s, v in wrong.items()]
+    return (
+        f"{name} ({row['kind']}): errors in units of the estimated sigma, where not 1: "
+        + ", ".join(words)
+        + "."
+    )
+
+
+def _sensor_text(name: str, sensor: str, v: Mapping[str, Any]) -> str | None:
+    parts = []
+    if v["verdict"] != "consistent":
+        parts.append(f"its innovations are {v['factor']:.2f} times as large as expected")
+    if v["coloured"]:
+        parts.append(f"they are correlated in time ({v['lag_correlation']:+.2f} with the last)")
+    return f"{name}: sensor {sensor}: {'; '.join(parts)}." if parts else None
+
+
+def _best_smoothed(found: Collected) -> str | None:
+    """The smoothed row of the least cost: nearest to the optimum."""
+    costs = {
+        name: float(np.nanmean(row.own["cost"]))
+        for name, row in found.rows.items()
+        if "cost" in row.own and row.coupling.total is not None
+    }
+    return min(costs, key=costs.__getitem__) if costs else None
+
+
+def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) -> dict[str, Any]:
+    """What the summary and the residuals say, with sentences for people in `text`."""
+    states, sensors, text = dict[str, Any](), dict[str, dict[str, Any]](), list[str]()
+    for name, row in summary["estimators"].items():
+        judged = {s: _judge(v.get("anees"), v.get("anees_band")) for s, v in row["states"].items()}
+        states[name] = {s: v for s, v in judged.items() if v is not None}
+        if states[name]:
+            text.append(_state_text(name, row, states[name]))
+        sensors[name] = {}
+        for sensor, v in row["sensors"].items():
+            one = _judge(v["nis"], v["nis_band"])
+            if one is not None:
+                lag, band = v["lag_correlation"], v["lag_band"]
+                coloured = lag is not None and abs(lag) > max(band[1], TOLERANCE)
+                sensors[name][sensor] = {**one, "coloured": coloured, "lag_correlation": lag}
+                text.append(_sensor_text(name, sensor, sensors[name][sensor]) or "")
+    best = _best_smoothed(found)
+    noises = _noises(found.rows[best]) if best else []
+    causes = [n for n in noises if n["named"]]
+    owners = _owners(scenario)
+    text += ["Likely cause: " + _cause_text(n, owners) + "." for n in causes]
+    text.append(_closing(summary, states, sensors, best, causes))
+    return {
+        "states": states,
+        "sensors": sensors,
+        "residuals_of": best,
+        "noises": noises,
+        "causes": [n["noise"] for n in causes],
+        "text": [t for t in text if t],
+    }
+
+
+def _closing(
+    summary: Mapping[str, Any],
+    states: Mapping[str, Any],
+    sensors: Mapping[str, Any],
+    best: str | None,
+    causes: list[dict[str, Any]],
+) -> str:
+    """What to make of it where no noise is to blame."""
+    wrong = [
+        name
+        for name in states
+        if any(
+            v["verdict"] != "consistent" for v in [*states[name].values(), *sensors[name].values()]
+        )
+    ]
+    if causes or not wrong:
+        return ""
+    if best is None:
+        return "A smoother in the study (rts, batch) would tell which noise is the likely cause."
+    if best in wrong:
+        return (
+            f"No declared noise explains it: the residuals of {best} are as declared. What is"
+            " wrong lies where no residual shows it: priors, or directions that no sensor sees."
+        )
+    return (
+        f"No declared noise explains it: the residuals of {best} are as declared, and its"
+        f" covariances true. What is wrong is the linearisation of {', '.join(wrong)}."
+    )
