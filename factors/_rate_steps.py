@@ -85,10 +85,9 @@ def published_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Arra
     a, da = euler_acceleration(w, A, dA, start)
     half2 = 0.25 * h * h * (w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
     half = np.sqrt(half2)
-    stretch = 1 - half2 / 3 * (1 - 0.6 * half2) if half < 1e-3 else np.arctan(half) / half
-    if half < 1e-3:
-        slope = -2 / 3.0 + 0.8 * half2
-    else:
+    stretch, slope = 1 - half2 / 3 * (1 - 0.6 * half2), -2 / 3.0 + 0.8 * half2
+    if half > 1e-2:
+        stretch = np.arctan(half) / half
         slope = (1 / (1 + half2) - stretch) / half2
     turn, dturn = np.empty(3), np.zeros((3, 3 + dA.shape[0]))
     for i in range(3):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.attitude_odometry import AttitudeOdometry
 from factors.beacon_los import BeaconLineOfSight
 from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
@@ -22,8 +23,10 @@ from factors.gps_position import GpsPosition
 from factors.gyro_bias import GyroBias
 from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from factors.orbit_two_body import OrbitTwoBody
+from factors.pose_odometry import PoseOdometry
+from factors.previous_pose import PreviousPose
 from factors.relative_attitude import VisionAttitude
-from factors.relative_pose import PositionInTarget, RelativeAttitude
+from factors.relative_pose import PositionInTarget, RelativeAttitude, TargetRateInChaser
 from factors.relative_two_body import RelativeTwoBody
 from factors.star_tracker import StarTracker
 from factors.stereo_point import StereoPoint, StereoPointCartesian
@@ -42,6 +45,7 @@ REGIMES = ("near", "moderate", "large")
 #: Size of a component of a block or input in each regime, SI; 1 for what is not listed.
 SCALES: Mapping[str, tuple[float, float, float]] = {
     "relative_position": (1.0, 100.0, 1000.0),
+    "previous_position": (1.0, 100.0, 1000.0),
     "relative_velocity": (0.01, 0.5, 5.0),
     "chaser_position": (1e4, 1e5, 1e6),
     "chaser_velocity": (100.0, 20.0, 1000.0),
@@ -92,12 +96,14 @@ class SensorExample:
 @dataclass(frozen=True)
 class DynamicsExample:
     """diffusion: of the advanced blocks' white noise, unit^2/s, (n, n) at given values;
-    channels: of each input; companions: processes that advance the blocks that are read."""
+    channels: of each input; companions: processes that advance the blocks that are read;
+    flow: False for a process that is no flow in time, such as a copy."""
 
     model: Any
     diffusion: Callable[..., Array]
     channels: Mapping[str, int] = field(default_factory=dict)
     companions: tuple[Any, ...] = ()
+    flow: bool = True
 
 
 @dataclass(frozen=True)
@@ -181,6 +187,19 @@ def position_sensor(model: Any) -> SensorExample:
     return SensorExample(model, draw_blocks(model.reads), step={"chaser_position": 30.0})
 
 
+def odometry(**options: Any) -> SensorExample:
+    model = PoseOdometry(
+        position_sigma=np.array([5e-3, 4e-3, 6e-3]), attitude_sigma=np.full(3, 0.01), **options
+    )
+    places = {"previous_position": 1.0, "relative_position": 1.0}
+    steps = {b.name: 0.1 for b in model.reads} | places
+    return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
+
+
+def copy(**options: Any) -> DynamicsExample:
+    return DynamicsExample(PreviousPose(**options), constant(*[0.0] * 6), flow=False)
+
+
 def orbit(degree: Any, **options: Any) -> DynamicsExample:
     walk = options.get("position_density", 0.0) ** 2
     model = OrbitTwoBody(acceleration_density=0.01, degree=degree, **options)
@@ -210,6 +229,16 @@ def constant_velocity(**options: Any) -> DynamicsExample:
 
 
 EXAMPLES: Mapping[str, tuple[Example, ...]] = {
+    "attitude_odometry": (
+        attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01))),
+        attitude_sensor(
+            AttitudeOdometry(
+                sigma=np.array([0.01, 0.02, 0.03]),
+                pose="target",
+                sensor_attitude=MOUNTED["sensor_attitude"],
+            )
+        ),
+    ),
     "beacon_los": (
         point_sensor(BeaconLineOfSight(points=BEACONS, sigma=1e-3), anywhere=True),
         point_sensor(BeaconLineOfSight(points=BEACONS, sigma=1e-5, **MOUNTED), anywhere=True),
@@ -232,6 +261,11 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
                 sigma=np.array([1e-4, 1e-4, 1e-3]), sensor_attitude=MOUNTED["sensor_attitude"]
             )
         ),
+    ),
+    "pose_odometry": (
+        odometry(scene_centre=np.array([2.0, 0.1, -0.3])),
+        odometry(pose="target", scene_centre=np.array([2.0, 0.1, -0.3]), **MOUNTED),
+        odometry(**MOUNTED),
     ),
     "stereo_point": (
         point_sensor(stereo()),
@@ -272,6 +306,11 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         orbit(4),
         orbit(2, max_step=2.5),
     ),
+    "previous_pose": (
+        copy(),
+        copy(pose="target", attitude_sigma=1e-3, position_sigma=1e-3),
+        copy(period=7.0),
+    ),
     "relative_two_body": (
         relative_two_body(0),
         relative_two_body(3, max_step=5.0),
@@ -289,4 +328,5 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "inertia_ratios": (DerivedExample(InertiaRatios()),),
     "position_in_target": (DerivedExample(PositionInTarget()),),
     "relative_attitude": (DerivedExample(RelativeAttitude()),),
+    "target_rate_in_chaser": (DerivedExample(TargetRateInChaser()),),
 }
