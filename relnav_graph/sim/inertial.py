@@ -21,7 +21,7 @@ from relnav_graph.state import TRACELESS
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
-__all__ = ["InertialPair", "TumblingBody"]
+__all__ = ["InertialPair", "TumblingBody", "inertia_parameters"]
 
 Array = NDArray[np.float64]
 #: Position and velocity of a body whose orbit does not matter.
@@ -30,6 +30,22 @@ _ANYWHERE = np.array([7e6, 0.0, 0.0, 0.0, 7.5e3, 0.0, *[0.0] * 6])
 
 def _zeros() -> Array:
     return np.zeros(3)
+
+
+def _moments(J: Array) -> tuple[Array, Array]:
+    """Second moments of the mass about the principal axes (3,), and R_tp, of J (3, 3)."""
+    moments, R_tp = np.linalg.eigh(0.5 * np.trace(J) * np.eye(3) - J)
+    R_tp[:, 2] *= np.linalg.det(R_tp)
+    return moments, R_tp
+
+
+def inertia_parameters(J: Array) -> Array:
+    """The block `state.INERTIA_MATRIX` (5,) of an inertia J (3, 3) that a body can have."""
+    second_moments, R_tp = _moments(J)
+    logs = np.log(second_moments)
+    S = R_tp @ np.diag(logs - logs.mean()) @ R_tp.T
+    out: Array = 0.5 * np.einsum("aij,ij->a", TRACELESS, S)  # each of TRACELESS has the square 2
+    return out
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,18 +72,11 @@ class TumblingBody:
     def __post_init__(self) -> None:
         check_fields(self)
         J = self.target_inertia
-        if np.abs(J - J.T).max() > 1e-9 * np.abs(J).max() or not self._moments()[0].min() > 0:
+        if np.abs(J - J.T).max() > 1e-9 * np.abs(J).max() or not _moments(J)[0].min() > 0:
             raise InputError(
                 f"{type(self).__name__}.target_inertia: found {J.tolist()} kg m^2, expected a"
                 " symmetric matrix whose principal moments are each below the sum of the others"
             )
-
-    def _moments(self) -> tuple[Array, Array]:
-        """Second moments of the mass about the principal axes (3,), and R_tp."""
-        J = self.target_inertia
-        moments, R_tp = np.linalg.eigh(0.5 * np.trace(J) * np.eye(3) - J)
-        R_tp[:, 2] *= np.linalg.det(R_tp)
-        return moments, R_tp
 
     def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
         """Truth at `times` (N,), s: increasing, the first not before t = 0.
@@ -97,7 +106,7 @@ class TumblingBody:
 
     def _integrate(self, t: Array, craft: Array, rng: np.random.Generator) -> Array:
         """States y (N, 19) from the two craft's state (12,) at t = 0; see `integrate`."""
-        second_moments, R_tp = self._moments()
+        second_moments, R_tp = _moments(self.target_inertia)
         p = np.array([MU_EARTH, *(second_moments.sum() - second_moments)])
         q_ip = so3.quaternion(so3.exp(self.target_attitude.copy()) @ R_tp)
         y, out = np.array([*craft, *q_ip, *(R_tp.T @ self.target_rate)]), np.empty((1, STATE_SIZE))
@@ -114,15 +123,14 @@ class TumblingBody:
         return np.array(found)
 
     def _rotation_values(self, y: Array) -> dict[str, Array]:
-        second_moments, R_tp = self._moments()
-        logs = np.log(second_moments)
-        S = R_tp @ np.diag(logs - logs.mean()) @ R_tp.T
-        k = 0.5 * np.einsum("aij,ij->a", TRACELESS, S)  # each of TRACELESS has the square 2
+        R_tp = _moments(self.target_inertia)[1]
         R_ip = np.stack([so3.from_quaternion(q) for q in y[:, 12:16]])
         return {
             "target_attitude": R_ip @ R_tp.T,
             "target_rate": y[:, 16:19] @ R_tp.T,
-            "inertia_matrix_parameters": np.tile(k, (len(y), 1)),
+            "inertia_matrix_parameters": np.tile(
+                inertia_parameters(self.target_inertia), (len(y), 1)
+            ),
         }
 
 
