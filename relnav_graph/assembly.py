@@ -1,28 +1,29 @@
-"""A problem as contiguous arrays, linearised in one compiled call per model.
+"""A problem as contiguous arrays, linearised in one compiled call.
 
 Filter and smoothers take their numbers from here, so they share every model, every
 whitening and every skipped observation. Rows are whitened: multiplied by the inverse
 Cholesky factor of their covariance. Columns are the tangent of one whole epoch.
+Observations stand in order of time, those of an epoch in order of its measurements.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph import loops
 from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
-from relnav_graph.loops import BROKEN, interval_rows, measure, transition
 from relnav_graph.models import Dynamics, Measurement, Sensor
 from relnav_graph.problem import Epoch, check_epoch
 from relnav_graph.state import Layout
 
-__all__ = ["Assembly", "MeasurementRows", "ProcessRows"]
+__all__ = ["Assembly", "MeasurementRows", "ProcessRows", "Tables"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -46,68 +47,35 @@ class MeasurementRows:
     status: Indices
 
 
-@dataclass(frozen=True, eq=False)
-class _SensorArrays:
-    """All observations of one sensor, in order of time."""
+class Tables(NamedTuple):
+    """A pass for the compiled loops: see the columns in `relnav_graph.loops`."""
 
-    name: str
-    sensor: Sensor
-    kernel: int
-    p: Array
-    q: Array
-    z: Array
-    ids: Indices
-    epoch: Indices
-    row: Indices
-    whiten: Array
-    gather: Indices
-    columns: Indices
-    part: slice  # of all observations
-
-    def only(self, some: slice, first_row: int, part: slice) -> _SensorArrays:
-        """Some observations, all of one epoch whose rows begin at first_row."""
-        row = self.row[some] - first_row
-        return replace(
-            self,
-            q=self.q[some],
-            z=self.z[some],
-            ids=self.ids[some],
-            epoch=np.zeros(len(row), dtype=np.int64),
-            row=row,
-            whiten=self.whiten[some],
-            part=part,
-        )
-
-    def check(self, status: Indices, times: Array) -> None:
-        """Raise ModelError when the kernel broke its contract at an observation."""
-        if np.count_nonzero(status) and (status < 0).any():
-            i = int(np.nonzero(status < 0)[0][0])
-            raise ModelError(
-                f"sensor {self.name!r} ({self.sensor.kind}), id {self.ids[i]}"
-                f" at t = {times[self.epoch[i]]} s: the kernel {BROKEN[int(status[i])]}"
-            )
+    sensors: Indices
+    observations: Indices
+    processes: Indices
+    intervals: Indices
+    starts: Array
+    places: Indices
+    numbers: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _ProcessArrays:
-    """All intervals of one process."""
+class _Store:
+    """Numbers, one after the other, in one array; where each piece stands."""
 
-    name: str
-    process: Dynamics
-    kernel: int
-    p: Array
-    u: Array
-    offset: Indices
-    gather: Indices
-    scatter: Indices
-    columns: Indices
-    rows: Indices
+    def __init__(self, dtype: Any) -> None:
+        self.dtype, self.size = dtype, 0
+        self.parts: list[NDArray[Any]] = []
 
-    def only(self, intervals: slice) -> _ProcessArrays:
-        """Some adjoining intervals, or none."""
-        offset = self.offset[intervals.start : intervals.stop + 1]
-        u = self.u[offset[0] : offset[-1]] if len(offset) else self.u[:0]
-        return replace(self, u=u, offset=offset - offset[:1])
+    def add(self, values: Any) -> tuple[int, int]:
+        """Begin and end of the values."""
+        part = np.ascontiguousarray(values, dtype=self.dtype).reshape(-1)
+        self.parts.append(part)
+        self.size += len(part)
+        return self.size - len(part), self.size
+
+    def array(self) -> Any:
+        """Everything."""
+        return np.concatenate([np.zeros(0, self.dtype), *self.parts])
 
 
 def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Array) -> ProcessRows:
@@ -115,7 +83,10 @@ def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Arr
 
     F (M, n, columns): sensitivity of x_next; whiten (M, n, n).
     """
-    return ProcessRows(*interval_rows(x_next, x1, F, whiten, layout.kinds))
+    out = ProcessRows(np.empty(F.shape[:2]), np.empty(F.shape), np.empty(whiten.shape))
+    arrays = [np.ascontiguousarray(a) for a in (x_next, x1, F, whiten)]
+    loops.interval_rows(*arrays, layout.kinds, out.e, out.A, out.B)
+    return out
 
 
 def inverse_cholesky(where: str, covariances: Array) -> Array:
@@ -151,7 +122,10 @@ class Assembly:
     """Epochs, with the intervals that lead to them, as arrays.
 
     t_before: start of an interval that leads to the first epoch, None when it has none.
-    Raises InputError or ModelError on an epoch or a model that is not in order.
+    observations: their number; epoch_offsets (N + 1,) and row_offsets (N + 1,): where each
+    epoch's observations and rows begin; sensor_of (observations,): the place of each one's
+    sensor among `sensor_names`. Raises InputError or ModelError on an epoch or a model that
+    is not in order.
     """
 
     def __init__(
@@ -168,154 +142,178 @@ class Assembly:
             check_epoch(processes, sensors, epoch, t)
         self.layout = layout
         self.times = np.array([e.t for e in epochs])
-        self._sensors, self.row_offsets = self._stack_sensors(sensors, epochs)
-        self.observations = sum(len(s.z) for s in self._sensors)
-        first = 1 if t_before is None else 0
+        self.sensor_names = tuple(sensors)
+        self._sensors, self._processes = dict(sensors), dict(processes)
         starts = self.times[:-1] if t_before is None else np.array([t_before, *self.times[:-1]])
-        self._starts = np.ascontiguousarray(starts)
-        self._processes = [
-            self._stack_process(name, process, epochs[first:])
-            for name, process in processes.items()
-        ]
+        numbers, places = _Store(np.float64), _Store(np.int64)
+        sensor_table = np.zeros((len(sensors), 8), dtype=np.int64)
+        for i, sensor in enumerate(sensors.values()):
+            gather, columns = layout.gather(sensor.reads)
+            sensor_table[i] = [
+                sensor_address(sensor.kernel),
+                *numbers.add(sensor.constants()),
+                *places.add(gather),
+                *places.add(columns),
+                sensor.rows,
+            ]
+        observations = self._stack_observations(epochs, numbers)
+        process_table = np.zeros((len(processes), 12), dtype=np.int64)
+        intervals = np.zeros((len(starts), len(processes), 2), dtype=np.int64)
+        for i, (name, process) in enumerate(processes.items()):
+            gather, columns = layout.gather(process.advances + process.reads)
+            scatter, rows = layout.gather(process.advances)
+            process_table[i] = [
+                dynamics_address(process.kernel),
+                *numbers.add(process.constants()),
+                *places.add(gather),
+                *places.add(columns),
+                *places.add(rows),
+                *places.add(scatter),
+                1 + sum(len(c) for c in process.inputs.values()),
+            ]
+            for k, epoch in enumerate(epochs[len(epochs) - len(starts) :]):
+                u = epoch.inputs[name]
+                intervals[k, i] = numbers.add(u)[0], len(u)
+        self.tables = Tables(
+            *(sensor_table, observations, process_table, intervals),
+            *(np.ascontiguousarray(starts), places.array(), numbers.array()),
+        )
+
+    def _stack_observations(self, epochs: Sequence[Epoch], numbers: _Store) -> Indices:
+        """The table of observations; their data go to the numbers, sensor by sensor."""
+        flat = [(k, m) for k, epoch in enumerate(epochs) for m in epoch.measurements]
+        sizes = np.array([len(m.z) for _, m in flat], dtype=np.int64)
+        which = {name: i for i, name in enumerate(self.sensor_names)}
+        sensor_of = np.array([which[m.sensor] for _, m in flat], dtype=np.int64)
+        heights = np.array([s.rows for s in self._sensors.values()], dtype=np.int64)
+        self.sensor_of = np.repeat(sensor_of, sizes)
+        self.ids = np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for _, m in flat)])
+        self.observations = len(self.ids)
+        out = np.zeros((self.observations, 8), dtype=np.int64)
+        out[:, loops.SENSOR] = self.sensor_of
+        out[:, loops.EPOCH] = np.repeat(np.array([k for k, _ in flat], dtype=np.int64), sizes)
+        ends = np.cumsum(heights[self.sensor_of])
+        out[:, loops.ROW] = ends - heights[self.sensor_of]
+        edges = np.searchsorted(out[:, loops.EPOCH], np.arange(len(epochs) + 1))
+        self.epoch_offsets = edges.astype(np.int64)
+        self.row_offsets = np.concatenate(([0], ends))[edges].astype(np.int64)
+        for name, sensor in self._sensors.items():
+            own = np.flatnonzero(self.sensor_of == which[name])
+            if not len(own):
+                continue
+            ms = [m for _, m in flat if m.sensor == name]
+            try:
+                z = sensor.accept(np.concatenate([m.z for m in ms]))
+            except InputError as error:
+                raise InputError(f"sensor {name!r}: {error}") from error
+            noise = np.concatenate([_noise(name, sensor, m) for m in ms])
+            data = sensor.observation_data(self.ids[own]), z
+            whiten = inverse_cholesky(f"sensor {name!r}", noise)
+            for column, values in zip((loops.Q_DATA, loops.Z_DATA), data, strict=True):
+                begin, end = numbers.add(values)
+                width = (end - begin) // len(own)
+                out[own, column] = begin + width * np.arange(len(own))
+                out[own, column + 1] = out[own, column] + width
+            out[own, loops.WHITEN] = numbers.add(whiten)[0] + sensor.rows**2 * np.arange(len(own))
+        return out
 
     def at(self, k: int) -> Assembly:
         """Epoch k alone, with the interval that leads to it: what the constructor makes
         of it, without its cost."""
-        one = copy(self)
-        for name in ("_by_epoch", "observation_rows"):
-            one.__dict__.pop(name, None)
+        one, tables = copy(self), self.tables
+        first, last = self.epoch_offsets[k : k + 2]
         one.times = self.times[k : k + 1]
-        first = int(self.row_offsets[k])
-        one.row_offsets = self.row_offsets[k : k + 2] - first
-        one._sensors, one.observations = [], 0
-        for s in self._sensors:
-            a, b = np.searchsorted(s.epoch, (k, k + 1))
-            if b > a:
-                part = slice(one.observations, one.observations + int(b - a))
-                one._sensors.append(s.only(slice(a, b), first, part))
-                one.observations = part.stop
-        i = k - len(self.times) + len(self._starts)  # the interval that leads to epoch k
-        intervals = slice(max(i, 0), i + 1)
-        one._starts = self._starts[intervals]
-        one._processes = [a.only(intervals) for a in self._processes]
+        one.sensor_of, one.ids = self.sensor_of[first:last], self.ids[first:last]
+        one.observations = int(last - first)
+        one.row_offsets = self.row_offsets[k : k + 2] - self.row_offsets[k]
+        one.epoch_offsets = self.epoch_offsets[k : k + 2] - first
+        observations = tables.observations[first:last].copy()
+        observations[:, loops.EPOCH] = 0
+        observations[:, loops.ROW] -= self.row_offsets[k]
+        i = k - len(self.times) + len(tables.starts)  # the interval that leads to epoch k
+        interval = slice(max(i, 0), i + 1)
+        one.tables = tables._replace(
+            observations=observations,
+            intervals=tables.intervals[interval],
+            starts=tables.starts[interval],
+        )
         return one
 
-    def _stack_sensors(
-        self, sensors: Mapping[str, Sensor], epochs: Sequence[Epoch]
-    ) -> tuple[list[_SensorArrays], Indices]:
-        counts = np.zeros(len(epochs) + 1, dtype=np.int64)
-        found: dict[str, list[tuple[int, int, int]]] = {name: [] for name in sensors}
-        for k, epoch in enumerate(epochs):
-            for i, m in enumerate(epoch.measurements):
-                found[m.sensor].append((k, i, int(counts[k + 1])))
-                counts[k + 1] += len(m.z) * sensors[m.sensor].rows
-        offsets = np.cumsum(counts)
-        stacks, start = [], 0
-        for name, places in found.items():
-            if not places:
-                continue
-            sensor = sensors[name]
-            ms = [epochs[k].measurements[i] for k, i, _ in places]
-            sizes = [len(m.z) for m in ms]
-            ids = np.concatenate([m.ids for m in ms])
-            z = np.concatenate([m.z for m in ms])
-            try:
-                z = np.ascontiguousarray(sensor.accept(z), dtype=np.float64)
-            except InputError as error:
-                raise InputError(f"sensor {name!r}: {error}") from error
-            noise = np.concatenate([_noise(name, sensor, m) for m in ms])
-            row = [
-                offsets[k] + o + sensor.rows * np.arange(n)
-                for (k, _, o), n in zip(places, sizes, strict=True)
-            ]
-            gather, columns = self.layout.gather(sensor.reads)
-            stacks.append(
-                _SensorArrays(
-                    name=name,
-                    sensor=sensor,
-                    kernel=sensor_address(sensor.kernel),
-                    p=np.ascontiguousarray(sensor.constants(), dtype=np.float64),
-                    q=np.ascontiguousarray(sensor.observation_data(ids), dtype=np.float64),
-                    z=z,
-                    ids=ids,
-                    epoch=np.repeat([k for k, _, _ in places], sizes),
-                    row=np.concatenate(row),
-                    whiten=inverse_cholesky(f"sensor {name!r}", noise),
-                    gather=gather,
-                    columns=columns,
-                    part=slice(start, start + len(z)),
-                )
-            )
-            start += len(z)
-        return stacks, offsets
-
-    def _stack_process(
-        self, name: str, process: Dynamics, epochs: Sequence[Epoch]
-    ) -> _ProcessArrays:
-        parts = [np.ascontiguousarray(e.inputs[name], dtype=np.float64) for e in epochs]
-        offset = np.concatenate(([0], np.cumsum([len(u) for u in parts]))).astype(np.int64)
-        gather, columns = self.layout.gather(process.advances + process.reads)
-        scatter, rows = self.layout.gather(process.advances)
-        return _ProcessArrays(
-            name=name,
-            process=process,
-            kernel=dynamics_address(process.kernel),
-            p=np.ascontiguousarray(process.constants(), dtype=np.float64),
-            u=np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, 1)),
-            offset=offset,
-            gather=gather,
-            scatter=scatter,
-            columns=columns,
-            rows=rows,
+    @classmethod
+    def join(cls, parts: Sequence[Assembly]) -> Assembly:
+        """Adjoining parts of one pass as one: what the constructor makes of all their
+        epochs, without its cost. All but the first have the interval that leads to them."""
+        one = copy(parts[0])
+        base, numbers, size = dict[int, int](), list[Array](), 0
+        observations, intervals, epochs, rows, count = [], [], [], [], 0
+        first_row = first_observation = 0
+        for part in parts:
+            t = part.tables
+            if id(t.numbers) not in base:  # parts cut from one assembly share theirs
+                base[id(t.numbers)] = size
+                numbers.append(t.numbers)
+                size += len(t.numbers)
+            shift = base[id(t.numbers)]
+            own = t.observations + np.array([0, count, first_row, *5 * [shift]])
+            observations.append(own)
+            intervals.append(t.intervals + np.array([shift, 0]))
+            epochs.append(part.epoch_offsets[:-1] + first_observation)
+            rows.append(part.row_offsets[:-1] + first_row)
+            count += len(part.times)
+            first_row += int(part.row_offsets[-1])
+            first_observation += part.observations
+        one.times = np.concatenate([p.times for p in parts])
+        one.sensor_of = np.concatenate([p.sensor_of for p in parts])
+        one.ids = np.concatenate([p.ids for p in parts])
+        one.observations = first_observation
+        one.epoch_offsets = np.concatenate([*epochs, [first_observation]])
+        one.row_offsets = np.concatenate([*rows, [first_row]])
+        one.tables = parts[0].tables._replace(
+            observations=np.concatenate(observations),
+            intervals=np.concatenate(intervals),
+            starts=np.concatenate([p.tables.starts for p in parts]),
+            numbers=np.concatenate(numbers) if len(numbers) > 1 else numbers[0],
         )
+        return one
+
+    def preceded(self) -> Assembly:
+        """With one more epoch in front, without measurements, where its first interval
+        starts."""
+        one = copy(self)
+        one.times = np.concatenate([self.tables.starts[:1], self.times])
+        one.epoch_offsets = np.concatenate([[0], self.epoch_offsets])
+        one.row_offsets = np.concatenate([[0], self.row_offsets])
+        observations = self.tables.observations.copy()
+        observations[:, loops.EPOCH] += 1
+        one.tables = self.tables._replace(observations=observations)
+        return one
 
     @property
-    def sensor_parts(self) -> list[tuple[str, slice, int]]:
-        """Of each sensor: its name, which of all observations are its own, and how many
-        rows each of them has."""
-        return [(s.name, s.part, s.sensor.rows) for s in self._sensors]
-
-    @property
-    def sensor_rows(self) -> dict[str, NDArray[np.bool_]]:
-        """Which of all rows are of each sensor."""
-        chosen = np.zeros(self.observations, dtype=bool)
-        found = {}
-        for s in self._sensors:
-            chosen[s.part] = True
-            found[s.name] = self.rows_of(chosen)
-            chosen[s.part] = False
-        return found
-
-    @cached_property
-    def observation_rows(self) -> Indices:
-        """First row of each observation and the row after its last, (observations, 2)."""
-        parts = [np.stack([s.row, s.row + s.sensor.rows], axis=1) for s in self._sensors]
-        return np.concatenate(parts) if parts else np.zeros((0, 2), dtype=np.int64)
-
-    @cached_property
-    def _by_epoch(self) -> list[Indices]:
-        """Of each epoch, its observations, in order of sensor."""
-        epoch = np.concatenate([s.epoch for s in self._sensors] or [np.zeros(0, dtype=np.int64)])
-        order = np.argsort(epoch, kind="stable")
-        return np.split(order, np.searchsorted(epoch[order], np.arange(1, len(self.times))))
+    def heights(self) -> Indices:
+        """Rows of each observation (observations,)."""
+        return self.tables.sensors[self.sensor_of, loops.ROWS]
 
     def rows_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which of all rows belong to the chosen observations."""
-        out = np.zeros(int(self.row_offsets[-1]), dtype=bool)
-        for start, stop in self.observation_rows[chosen]:
-            out[start:stop] = True
-        return out
+        return np.repeat(chosen, self.heights)
 
-    def in_order(self, weights: Sequence[Array]) -> Array:
-        """Weights of all observations, from those of each epoch assembled on its own."""
-        out = np.ones(self.observations)
-        for places, values in zip(self._by_epoch, weights, strict=True):
-            out[places] = values
-        return out
+    def by_sensor(self, values: NDArray[np.bool_]) -> dict[str, int]:
+        """How many of the marked observations each sensor has made."""
+        counts = np.bincount(self.sensor_of[values], minlength=len(self.sensor_names))
+        return {name: int(n) for name, n in zip(self.sensor_names, counts, strict=True)}
 
-    def by_epoch(self, weights: Array) -> list[Array]:
-        """The inverse of :meth:`in_order`."""
-        return [weights[places] for places in self._by_epoch]
+    def check(self, status: Indices, first: int = 0) -> None:
+        """Raise ModelError when a kernel broke its contract at an observation; status: of
+        those from `first` on."""
+        if len(status) and status.min() < 0:
+            i = int(np.nonzero(status < 0)[0][0])
+            o = first + i
+            name = self.sensor_names[self.sensor_of[o]]
+            t = self.times[self.tables.observations[o, loops.EPOCH]]
+            raise ModelError(
+                f"sensor {name!r} ({self._sensors[name].kind}), id {self.ids[o]}"
+                f" at t = {t} s: the kernel {loops.BROKEN[int(status[i])]}"
+            )
 
     def measure(self, x: Array, weight: Array) -> MeasurementRows:
         """Rows of all observations at the states x (N, size).
@@ -325,15 +323,24 @@ class Assembly:
         Raises ModelError when a kernel breaks its contract.
         """
         count = int(self.row_offsets[-1])
-        r, H = np.zeros(count), np.zeros((count, self.layout.dim))
-        status = np.zeros(self.observations, dtype=np.int64)
-        for s in self._sensors:
-            measure(
-                *(s.kernel, s.p, s.q, s.z, s.epoch, s.row),
-                *(x, s.gather, s.columns, s.whiten, weight[s.part], r, H, status[s.part]),
-            )
-            s.check(status[s.part], self.times)
+        r, H = np.empty(count), np.empty((count, self.layout.dim))
+        status = np.empty(self.observations, dtype=np.int64)
+        loops.measure(*self.tables, x, weight, r, H, status)
+        self.check(status)
         return MeasurementRows(r, H, status)
+
+    def check_propagated(self, failure: Indices) -> None:
+        """Raise ModelError when a kernel broke its contract in an interval, GeometryError
+        when it could not propagate; failure (3,): interval, process, status."""
+        k, i, code = (int(v) for v in failure)
+        if code == 0:
+            return
+        name = list(self._processes)[i]
+        process = self._processes[name]
+        where = f"process {name!r} ({process.kind}) from t = {self.tables.starts[k]} s"
+        if code < 0:
+            raise ModelError(f"{where}: the kernel {loops.BROKEN[code]}")
+        raise GeometryError(f"{where}: {process.failure(code)}")
 
     def transition(self, x: Array) -> tuple[Array, Array, Array]:
         """x_next (M, size), F and Q (M, n, n) of all intervals, from x (M, size).
@@ -341,32 +348,30 @@ class Assembly:
         Raises ModelError when a kernel breaks its contract, GeometryError when it says
         that an interval cannot be propagated.
         """
-        m, n = len(self._starts), self.layout.dim
-        x_next, F, Q = np.zeros((m, self.layout.size)), np.zeros((m, n, n)), np.zeros((m, n, n))
-        status = np.zeros(m, dtype=np.int64)
-        for a in self._processes:
-            transition(
-                *(a.kernel, a.p, self._starts, a.u, a.offset),
-                *(x, a.gather, a.scatter, a.columns, a.rows, x_next, F, Q, status),
-            )
-            if np.count_nonzero(status):
-                k = int(np.nonzero(status)[0][0])
-                code = int(status[k])
-                where = f"process {a.name!r} ({a.process.kind}) from t = {self._starts[k]} s"
-                if code < 0:
-                    raise ModelError(f"{where}: the kernel {BROKEN[code]}")
-                raise GeometryError(f"{where}: {a.process.failure(code)}")
+        m, n = len(self.tables.starts), self.layout.dim
+        x_next, F, Q = np.zeros((m, self.layout.size)), np.empty((m, n, n)), np.empty((m, n, n))
+        failure = np.zeros(3, dtype=np.int64)
+        loops.transition(*self.tables, x, x_next, F, Q, failure)
+        self.check_propagated(failure)
         return x_next, F, Q
 
     def whitening(self, Q: Array) -> Array:
         """Whitening matrices (M, n, n) of the process noise. Raises InputError."""
         whiten = np.zeros_like(Q)
-        for a in self._processes:
-            rows = np.ix_(np.arange(len(Q)), a.rows, a.rows)
-            whiten[rows] = inverse_cholesky(f"process {a.name!r}", Q[rows])
+        for name, process in self._processes.items():
+            _, own = self.layout.gather(process.advances)
+            rows = np.ix_(np.arange(len(Q)), own, own)
+            whiten[rows] = inverse_cholesky(f"process {name!r}", Q[rows])
         return whiten
 
     def process(self, x: Array, whiten: Array) -> ProcessRows:
-        """Rows of all intervals between the states x (M + 1, size)."""
-        x_next, F, _ = self.transition(x[:-1])
-        return process_rows(self.layout, x_next, x[1:], F, whiten)
+        """Rows of all intervals between the states x (M + 1, size). Raises as
+        :meth:`transition` does."""
+        m, n = len(self.tables.starts), self.layout.dim
+        out = ProcessRows(np.empty((m, n)), np.empty((m, n, n)), np.empty((m, n, n)))
+        failure = np.zeros(3, dtype=np.int64)
+        loops.linearize(
+            *self.tables, x, whiten, self.layout.kinds, out.e, out.A, out.B, failure
+        )
+        self.check_propagated(failure)
+        return out

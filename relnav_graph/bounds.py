@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly, MeasurementRows, inverse_cholesky
-from relnav_graph.chain import Chain, PriorRows, chain_factors, eliminate
 from relnav_graph.errors import InputError
 from relnav_graph.problem import Problem
+from relnav_graph.sweep import Anchor, linearize
 from relnav_graph.track import Track, Truth
 
 __all__ = ["Bounds", "bounds", "true_trajectory"]
@@ -38,9 +38,11 @@ def true_trajectory(problem: Problem, truth: Truth | None) -> Array:
     Raises InputError when truth does not know all of them.
     """
     layout, times = problem.layout, problem.times
-    missing = [b.name for b in layout if truth is None or b.name not in truth.values]
-    if truth is None or missing:
-        raise InputError(f"the truth does not know {missing or 'anything'}")
+    if truth is None:
+        raise InputError("there is no truth")
+    missing = [b.name for b in layout if b.name not in truth.values]
+    if missing:
+        raise InputError(f"the truth does not know {missing}")
     k = np.clip(np.searchsorted(truth.t, times - 1e-6), 0, len(truth.t) - 1)
     if np.abs(truth.t[k] - times).max() > 1e-6:
         raise InputError("the truth does not know every epoch")
@@ -80,10 +82,11 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     weights = np.ones(assembly.observations)
     rows = assembly.measure(x, weights)
     _, F, Q = assembly.transition(x[:-1])
-    prior = PriorRows(np.zeros(layout.dim), inverse_cholesky("the prior", problem.prior.P))
-    process = assembly.process(x, assembly.whitening(Q))
-    chain = Chain(prior, process, rows, assembly.row_offsets, weights)
-    smoothed = eliminate(chain_factors(chain), len(x), layout.dim).covariances()
+    # The prior's covariance about the trajectory itself, whatever mean was drawn.
+    whiten = inverse_cholesky("the prior", problem.prior.P)
+    anchor = Anchor(x[0], whiten, np.zeros(layout.dim))
+    system = linearize(assembly, anchor, x, assembly.whitening(Q), weights)
+    smoothed = system.conditionals.covariances()
     filtered = _filtered(problem.prior.P, F, Q, rows, assembly.row_offsets)
     return Bounds(
         Track("filter_bound", "filtered", layout, problem.times, x, filtered),

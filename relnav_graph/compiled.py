@@ -69,7 +69,10 @@ DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MAT
 
 
 #: Modules of this package that compiled code may call or take constants from.
-_LOWER_FLOORS = ("chain", "compiled", "constants", "loops", "orbit", "so3", "state")
+_LOWER_FLOORS = (
+    *("compiled", "constants", "filtering", "loops"),
+    *("matrices", "orbit", "so3", "state", "sweep"),
+)
 
 
 @cache

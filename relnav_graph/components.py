@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
-from relnav_graph.chain import Chain, chain_factors, eliminate, linearize
+from relnav_graph.chain import Rows, chain_factors, chain_rows, eliminate
 from relnav_graph.estimators.gating import residual_weights
 from relnav_graph.models import Dynamics
 from relnav_graph.problem import Problem
+from relnav_graph.sweep import anchor_of, linearize
 
 __all__ = ["NoiseResiduals", "estimate_factors", "noise_residuals"]
 
@@ -70,44 +71,38 @@ class _Groups:
 
 
 def _groups(problem: Problem, assembly: Assembly) -> _Groups:
-    of_state = _process_groups(problem.processes, assembly)
-    sensors = assembly.sensor_rows
-    names = [f"sensors.{s}" for s in sensors]
-    names += [PRIOR, *dict.fromkeys(of_state[i] for i in range(assembly.layout.dim))]
-    of_measurement = np.zeros(int(assembly.row_offsets[-1]), dtype=np.int64)
-    for name, rows in sensors.items():
-        of_measurement[rows] = names.index(f"sensors.{name}")
-    of_process = np.array([names.index(of_state[i]) for i in range(assembly.layout.dim)])
-    return _Groups(names, of_measurement, of_process)
+    of_state, n = _process_groups(problem.processes, assembly), assembly.layout.dim
+    names = [f"sensors.{s}" for s in assembly.sensor_names]
+    names += [PRIOR, *dict.fromkeys(of_state[i] for i in range(n))]
+    of_process = np.array([names.index(of_state[i]) for i in range(n)])
+    return _Groups(names, np.repeat(assembly.sensor_of, assembly.heights), of_process)
 
 
-def _residuals(chain: Chain, d: Array) -> tuple[Array, Array, Array]:
+def _residuals(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
     """Whitened residuals of prior, process and measurements after the step d (N, n)."""
-    p, q, m = chain.prior, chain.process, chain.measurements
-    at = np.repeat(np.arange(len(d)), np.diff(chain.row_offsets))
+    q, m = rows.process, rows.measurements
+    at = np.repeat(np.arange(len(d)), np.diff(rows.offsets))
     return (
-        p.e + p.A @ d[0],
+        rows.e + rows.A @ d[0],
         q.e + np.einsum("kij,kj->ki", q.A, d[:-1]) + np.einsum("kij,kj->ki", q.B, d[1:]),
         m.r + np.einsum("rj,rj->r", m.H, d[at]),
     )
 
 
 def _coupling(
-    chain: Chain, groups: _Groups, used: NDArray[np.bool_], rng: np.random.Generator
+    rows: Rows, groups: _Groups, used: NDArray[np.bool_], rng: np.random.Generator
 ) -> Array:
     """T (groups, groups), from one random vector of signs per group (Hutchinson 1990)."""
-    shapes = chain.prior.e.shape, chain.process.e.shape, chain.measurements.r.shape
-    prior, process, measured = (rng.choice((-1.0, 1.0), shape) for shape in shapes)
-    count, n = len(chain.row_offsets) - 1, shapes[0][0]
+    q, m = rows.process, rows.measurements
+    prior, process, measured = (rng.choice((-1.0, 1.0), a.shape) for a in (rows.e, q.e, m.r))
+    count, n = len(rows.offsets) - 1, len(rows.e)
     out = np.empty((len(groups.names), len(groups.names)))
     for j, name in enumerate(groups.names):
         probe = replace(
-            chain,
-            prior=replace(chain.prior, e=prior * (name == PRIOR)),
-            process=replace(chain.process, e=process * (groups.of_process == j)),
-            measurements=replace(
-                chain.measurements, r=measured * (used & (groups.of_measurement == j))
-            ),
+            rows,
+            e=prior * (name == PRIOR),
+            process=replace(q, e=process * (groups.of_process == j)),
+            measurements=replace(m, r=measured * (used & (groups.of_measurement == j))),
         )
         d = eliminate(chain_factors(probe), count, n).solution()
         out[:, j] = groups.sums(*(e**2 for e in _residuals(probe, d)))
@@ -125,16 +120,17 @@ def noise_residuals(
     """
     layout = problem.layout
     assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
-    rows = assembly.measure(x, np.ones(assembly.observations))
-    weights = residual_weights(assembly, rows, problem.gates)
+    measured = assembly.measure(x, np.ones(assembly.observations))
+    weights = residual_weights(assembly, measured, problem.gates)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
-    chain = linearize(assembly, problem.prior, x, whiten, weights)
-    found = eliminate(chain_factors(chain), len(x), layout.dim)
+    anchor = anchor_of(problem.prior)
+    system = linearize(assembly, anchor, x, whiten, weights)
+    rows = chain_rows(assembly, anchor, x, whiten, weights)
     groups, used = _groups(problem, assembly), assembly.rows_of(weights > 0)
-    squares = groups.sums(*(e**2 for e in _residuals(chain, found.solution())))
-    coupling = None if rng is None else _coupling(chain, groups, used, rng)
+    squares = groups.sums(*(e**2 for e in _residuals(rows, system.conditionals.solution())))
+    coupling = None if rng is None else _coupling(rows, groups, used, rng)
     by_name = dict(zip(groups.names, squares.tolist(), strict=True))
-    return NoiseResiduals(by_name, chain.cost, coupling)
+    return NoiseResiduals(by_name, system.cost, coupling)
 
 
 def estimate_factors(squares: Array, coupling: Array) -> tuple[Array, Array]:

@@ -54,12 +54,13 @@ class Direction:
         of the nearest; inverse (n, n) whitens."""
         basis, mixing = np.linalg.qr(inverse @ self.D)
         part = basis.T @ v
-        if self.D.shape[1] == 1:
-            return float(np.linalg.norm(part)), self.name
+        size = float(np.linalg.norm(part))
+        if self.D.shape[1] == 1 or size < ALIKE:
+            return size, self.name
         weights = np.linalg.solve(mixing, part)
         weights /= np.linalg.norm(weights) * np.sign(weights[np.abs(weights).argmax()])
         text = ", ".join(f"{round(w, 2) + 0.0:.2f}" for w in weights)
-        return float(np.linalg.norm(part)), f"{self.name} ({text})"
+        return size, f"{self.name} ({text})"
 
 
 _LETTERS = "xyz123456"

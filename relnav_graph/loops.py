@@ -1,7 +1,10 @@
-"""The compiled loops over all observations of a sensor and all intervals of a process.
+"""The compiled loops over all observations of the sensors and all intervals of the processes.
 
 Compiled once for all models: a kernel comes as an address. A kernel that leaves an entry
 unfilled, or writes past its arrays, is found out here.
+
+A pass comes as tables (`relnav_graph.assembly.Tables`): one row of integers per sensor,
+observation, process and interval, which say where each one's numbers stand in one long array.
 """
 
 from __future__ import annotations
@@ -10,7 +13,6 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from relnav_graph import so3
 from relnav_graph.compiled import (
     GUARD,
     INDICES,
@@ -23,12 +25,26 @@ from relnav_graph.compiled import (
     jit_as,
     sensor_at,
 )
-from relnav_graph.state import block_jacobian, local
+from relnav_graph.matrices import product
+from relnav_graph.state import local, times_jacobian
 
-__all__ = ["BROKEN", "interval_rows", "measure", "transition"]
+__all__ = ["BROKEN", "TABLES", "interval_row", "interval_rows", "linearize", "measure", "transition"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+INDEX_MATRIX, INDEX_STACK = types.Array(types.int64, 2, "C"), types.Array(types.int64, 3, "C")
+#: Types of a pass's tables: sensors, observations, processes, intervals, starts of the
+#: intervals, places in the state, numbers.
+TABLES = (INDEX_MATRIX, INDEX_MATRIX, INDEX_MATRIX, INDEX_STACK, VECTOR, INDICES, VECTOR)
+
+# Columns of the tables. X, X + 1: where X begins and ends, p, q, z, the whitening and u in
+# the numbers, the others in the places.
+ADDRESS, P, GATHER, COLUMNS = 0, 1, 3, 5  # of sensors and of processes
+ROWS = 7  # of a sensor: rows of an observation; of a process: places of the rows of F and Q
+SCATTER, WIDTH = 9, 11  # of processes; the width of u
+SENSOR, EPOCH, ROW, Q_DATA, Z_DATA, WHITEN = 0, 1, 2, 3, 5, 7  # of observations
+U_DATA, U_ROWS = 0, 1  # of intervals, one pair for each process
 
 # Statuses that the loops add to those of the kernels, and what they mean.
 UNFILLED, OUTSIDE = -1, -2
@@ -64,136 +80,234 @@ def _verdict(buffer: Array) -> int:
 
 
 @jit
-def _gather(x: Array, k: int, places: Indices) -> Array:
-    """The stored values of some blocks at epoch k."""
-    out = np.empty(places.shape[0])
+def _gather(x: Array, places: Indices, out: Array) -> None:
+    """The stored values of some blocks of a state x (size,)."""
     for i in range(places.shape[0]):
-        out[i] = x[k, places[i]]
-    return out
+        out[i] = x[places[i]]
 
 
-@jit_as(
-    types.int64,
-    *(VECTOR, MATRIX, MATRIX, INDICES, INDICES),
-    *(MATRIX, INDICES, INDICES, STACK, VECTOR),
-    *(VECTOR, MATRIX, INDICES),
-)
-def measure(
-    address: int,
-    p: Array,
-    q: Array,
-    z: Array,
-    epoch: Indices,
-    row: Indices,
+@jit
+def observe(
+    sensors: Indices,
+    observations: Indices,
+    places: Indices,
+    numbers: Array,
+    first: int,
+    last: int,
+    epoch: int,
     x: Array,
-    gather: Indices,
-    columns: Indices,
-    whiten: Array,
     weight: Array,
     r: Array,
     H: Array,
     status: Indices,
 ) -> None:
-    """Fill the rows r, H, which come as zeros, of all observations of one sensor; those
-    whose status is not 0 stay zero."""
-    kernel = sensor_at(address)
-    rows, n = whiten.shape[1], columns.shape[0]
-    r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
-    r_one = r_buffer[GUARD : GUARD + rows]
-    h_one = h_buffer[GUARD : GUARD + rows * n].reshape(rows, n)
-    for i in range(z.shape[0]):
-        start = row[i]
+    """Fill r, H and status (last - first,) for some adjoining observations, in order of time.
+
+    x (N, size): states, from `epoch` on. Rows of observations whose status is not 0, or
+    whose weight is 0, are zero.
+    """
+    for i in range(r.shape[0]):
+        r[i] = 0.0
+        for j in range(H.shape[1]):
+            H[i, j] = 0.0
+    current = -1
+    for o in range(first, last):
+        i = o - first
         status[i] = 0
         if weight[i] == 0.0:
             continue
+        one = observations[o]
+        if one[SENSOR] != current:
+            current = one[SENSOR]
+            sensor = sensors[current]
+            p = numbers[sensor[P] : sensor[P + 1]]
+            gather = places[sensor[GATHER] : sensor[GATHER + 1]]
+            columns = places[sensor[COLUMNS] : sensor[COLUMNS + 1]]
+            rows, n = sensor[ROWS], columns.shape[0]
+            x_one = np.empty(gather.shape[0])
+            r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
+            r_one = r_buffer[GUARD : GUARD + rows]
+            h_one = h_buffer[GUARD : GUARD + rows * n].reshape(rows, n)
+            kernel = sensor_at(sensor[ADDRESS])
         _reset(r_buffer)
         _reset(h_buffer)
-        status[i] = kernel(p, q[i], z[i], _gather(x, epoch[i], gather), r_one, h_one)
+        _gather(x[one[EPOCH] - epoch], gather, x_one)
+        q, z = numbers[one[Q_DATA] : one[Q_DATA + 1]], numbers[one[Z_DATA] : one[Z_DATA + 1]]
+        status[i] = kernel(p, q, z, x_one, r_one, h_one)
         wrong = min(_verdict(r_buffer), _verdict(h_buffer))
         if wrong == OUTSIDE or (wrong == UNFILLED and status[i] == 0):
             status[i] = wrong
         if status[i] != 0:
             continue
+        start = one[ROW] - observations[first, ROW]
         for a in range(rows):
             for b in range(a + 1):
-                w = weight[i] * whiten[i, a, b]
+                w = weight[i] * numbers[one[WHITEN] + a * rows + b]
                 r[start + a] += w * r_one[b]
                 for j in range(n):
                     H[start + a, columns[j]] += w * h_one[b, j]
 
 
-@jit_as(
-    types.int64,
-    *(VECTOR, VECTOR, MATRIX, INDICES),
-    *(MATRIX, INDICES, INDICES, INDICES, INDICES),
-    *(MATRIX, STACK, STACK, INDICES),
-)
-def transition(
-    address: int,
-    p: Array,
-    t: Array,
-    u: Array,
-    offset: Indices,
+@jit
+def propagate(
+    processes: Indices,
+    intervals: Indices,
+    starts: Array,
+    places: Indices,
+    numbers: Array,
+    k: int,
     x: Array,
-    gather: Indices,
-    scatter: Indices,
-    columns: Indices,
-    rows: Indices,
     x_next: Array,
     F: Array,
     Q: Array,
-    status: Indices,
-) -> None:
-    """Propagate the blocks of one process over all intervals, into x_next, F, Q."""
-    kernel = dynamics_at(address)
-    m, n, size = rows.shape[0], columns.shape[0], scatter.shape[0]
-    x_buffer, f_buffer, q_buffer = _guarded(size), _guarded(m * n), _guarded(m * m)
-    x_one = x_buffer[GUARD : GUARD + size]
-    f_one = f_buffer[GUARD : GUARD + m * n].reshape(m, n)
-    q_one = q_buffer[GUARD : GUARD + m * m].reshape(m, m)
-    for k in range(t.shape[0]):
+) -> tuple[int, int]:
+    """Fill x_next (size,), F and Q (n, n) of interval k from x (size,).
+
+    The number of the process that could not, and its status; -1, 0 when all could.
+    """
+    for i in range(F.shape[0]):
+        for j in range(F.shape[1]):
+            F[i, j] = Q[i, j] = 0.0
+    for a in range(processes.shape[0]):
+        process = processes[a]
+        p = numbers[process[P] : process[P + 1]]
+        gather = places[process[GATHER] : process[GATHER + 1]]
+        scatter = places[process[SCATTER] : process[SCATTER + 1]]
+        columns = places[process[COLUMNS] : process[COLUMNS + 1]]
+        rows = places[process[ROWS] : process[ROWS + 1]]
+        m, n, size = rows.shape[0], columns.shape[0], scatter.shape[0]
+        x_one = np.empty(gather.shape[0])
+        _gather(x, gather, x_one)
+        x_buffer, f_buffer, q_buffer = _guarded(size), _guarded(m * n), _guarded(m * m)
         _reset(x_buffer)
         _reset(f_buffer)
         _reset(q_buffer)
-        inputs = u[offset[k] : offset[k + 1]]
-        status[k] = kernel(p, t[k], inputs, _gather(x, k, gather), x_one, f_one, q_one)
+        x_out = x_buffer[GUARD : GUARD + size]
+        f_out = f_buffer[GUARD : GUARD + m * n].reshape(m, n)
+        q_out = q_buffer[GUARD : GUARD + m * m].reshape(m, m)
+        start, length = intervals[k, a, U_DATA], intervals[k, a, U_ROWS]
+        u = numbers[start : start + length * process[WIDTH]].reshape(length, process[WIDTH])
+        kernel = dynamics_at(process[ADDRESS])
+        status = kernel(p, starts[k], u, x_one, x_out, f_out, q_out)
         wrong = min(_verdict(x_buffer), _verdict(f_buffer), _verdict(q_buffer))
-        if wrong == OUTSIDE or (wrong == UNFILLED and status[k] == 0):
-            status[k] = wrong
-        if status[k] != 0:
-            return
+        if wrong == OUTSIDE or (wrong == UNFILLED and status == 0):
+            status = wrong
+        if status != 0:
+            return a, status
         for i in range(size):
-            x_next[k, scatter[i]] = x_one[i]
+            x_next[scatter[i]] = x_out[i]
         for i in range(m):
             for j in range(n):
-                F[k, rows[i], columns[j]] = f_one[i, j]
+                F[rows[i], columns[j]] = f_out[i, j]
             for j in range(m):
-                Q[k, rows[i], rows[j]] = q_one[i, j]
+                Q[rows[i], rows[j]] = q_out[i, j]
+    return -1, 0
+
+
+@jit_as(*TABLES, MATRIX, VECTOR, VECTOR, MATRIX, INDICES)
+def measure(
+    sensors: Indices,
+    observations: Indices,
+    processes: Indices,
+    intervals: Indices,
+    starts: Array,
+    places: Indices,
+    numbers: Array,
+    x: Array,
+    weight: Array,
+    r: Array,
+    H: Array,
+    status: Indices,
+) -> None:
+    """Fill the rows r, H of all observations of a pass at the states x (N, size)."""
+    last = observations.shape[0]
+    observe(sensors, observations, places, numbers, 0, last, 0, x, weight, r, H, status)
+
+
+@jit_as(*TABLES, MATRIX, MATRIX, STACK, STACK, INDICES)
+def transition(
+    sensors: Indices,
+    observations: Indices,
+    processes: Indices,
+    intervals: Indices,
+    starts: Array,
+    places: Indices,
+    numbers: Array,
+    x: Array,
+    x_next: Array,
+    F: Array,
+    Q: Array,
+    failure: Indices,
+) -> None:
+    """Propagate the states x (M, size) over all intervals, into x_next, F, Q.
+
+    failure (3,): interval, process and status where one cannot be propagated.
+    """
+    for k in range(starts.shape[0]):
+        process, status = propagate(
+            processes, intervals, starts, places, numbers, k, x[k], x_next[k], F[k], Q[k]
+        )
+        if status != 0:
+            failure[0], failure[1], failure[2] = k, process, status
+            return
 
 
 @jit
+def interval_row(
+    x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
+) -> None:
+    n = e.shape[0]
+    error, left = local(x_next, x1, kinds, n), np.empty((n, n))
+    minus = np.empty(n)
+    for i in range(n):
+        minus[i] = -error[i]
+        e[i] = 0.0
+        for j in range(n):
+            e[i] += whiten[i, j] * error[j]
+            left[i, j] = -whiten[i, j]
+            B[i, j] = whiten[i, j]
+    times_jacobian(left, minus, kinds, True)
+    times_jacobian(B, error, kinds, True)
+    product(left, F, A)
+
+
+@jit_as(MATRIX, MATRIX, STACK, STACK, INDEX_MATRIX, MATRIX, STACK, STACK)
 def interval_rows(
-    x0_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices
-) -> tuple[Array, Array, Array]:
+    x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
+) -> None:
     """e = local(propagate(x_k), x_k+1), whitened, with its exact Jacobians to both ends.
 
     On SO(3): e = Log(A^T B), de/db = J_r^-1(e), de/da = -J_r^-1(-e), the left inverse.
     """
-    count, n, columns = x1.shape[0], F.shape[1], F.shape[2]
-    e, a, b = np.zeros((count, n)), np.empty(F.shape), np.empty((count, n, n))
-    minus = np.empty(n)
-    for k in range(count):
-        error = local(x0_next[k], x1[k], kinds, n)
-        for i in range(n):
-            minus[i] = -error[i]
-            for j in range(n):
-                e[k, i] += whiten[k, i, j] * error[j]
-        left = so3.multiply(whiten[k], block_jacobian(minus, kinds, True))
-        toward = so3.multiply(left, F[k])
-        right = so3.multiply(whiten[k], block_jacobian(error, kinds, True))
-        for i in range(n):
-            for j in range(columns):
-                a[k, i, j] = -toward[i, j]
-            for j in range(n):
-                b[k, i, j] = right[i, j]
-    return e, a, b
+    for k in range(x1.shape[0]):
+        interval_row(x_next[k], x1[k], F[k], whiten[k], kinds, e[k], A[k], B[k])
+
+
+@jit_as(*TABLES, MATRIX, STACK, INDEX_MATRIX, MATRIX, STACK, STACK, INDICES)
+def linearize(
+    sensors: Indices,
+    observations: Indices,
+    processes: Indices,
+    intervals: Indices,
+    starts: Array,
+    places: Indices,
+    numbers: Array,
+    x: Array,
+    whiten: Array,
+    kinds: Indices,
+    e: Array,
+    A: Array,
+    B: Array,
+    failure: Indices,
+) -> None:
+    """`transition` and `interval_rows` of a whole trajectory x (M + 1, size) at once."""
+    n = e.shape[1]
+    x_next, F, Q = np.zeros(x.shape[1]), np.empty((n, n)), np.empty((n, n))
+    for k in range(starts.shape[0]):
+        process, status = propagate(
+            processes, intervals, starts, places, numbers, k, x[k], x_next, F, Q
+        )
+        if status != 0:
+            failure[0], failure[1], failure[2] = k, process, status
+            return
+        interval_row(x_next, x[k + 1], F, whiten[k], kinds, e[k], A[k], B[k])

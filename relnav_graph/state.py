@@ -120,16 +120,47 @@ def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
 
 
 @jit
-def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
-    """Block-diagonal right Jacobian (or its inverse) of the retraction at d."""
-    out = so3.identity(d.shape[0])
+def times_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) -> None:
+    """``a = a J``, with the block-diagonal right Jacobian J (or its inverse) of the
+    retraction at d: the identity but for attitudes."""
+    row = np.empty(3)
     for k in range(kinds.shape[0]):
         if kinds[k, 0]:
             j = kinds[k, 2]
             phi = so3.vector_at(d, j)
             block = so3.right_jacobian_inverse(phi) if inverse else so3.right_jacobian(phi)
-            so3.put(out, j, j, block, 1.0)
+            for i in range(a.shape[0]):
+                for m in range(3):
+                    row[m] = 0.0
+                    for l in range(3):
+                        row[m] += a[i, j + l] * block[l, m]
+                so3.put_vector(a[i], j, row)
+
+
+@jit
+def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
+    """That Jacobian (n, n)."""
+    out = so3.identity(d.shape[0])
+    times_jacobian(out, d, kinds, inverse)
     return out
+
+
+@jit
+def retract_all(x: Array, d: Array, kinds: NDArray[np.int64], out: Array) -> None:
+    """:func:`retract` for each row."""
+    for k in range(x.shape[0]):
+        one = retract(x[k], d[k], kinds)
+        for i in range(one.shape[0]):
+            out[k, i] = one[i]
+
+
+@jit
+def local_all(a: Array, b: Array, kinds: NDArray[np.int64], out: Array) -> None:
+    """:func:`local` for each row."""
+    for k in range(a.shape[0]):
+        one = local(a[k], b[k], kinds, out.shape[1])
+        for i in range(one.shape[0]):
+            out[k, i] = one[i]
 
 
 class Layout:
@@ -237,12 +268,23 @@ class Layout:
         return {b.name: self.value(x, b.name) for b in self.blocks}
 
     def retract(self, x: Array, d: Array) -> Array:
-        """``x (+) d``: R Exp(d) on attitudes, sum on vectors. (size,), (dim,) -> (size,)."""
-        return retract(x, d, self.kinds)
+        """``x (+) d``: R Exp(d) on attitudes, sum on vectors.
+
+        (size,), (dim,) -> (size,), or a whole trajectory, (N, size), (N, dim) -> (N, size).
+        """
+        if x.ndim == 1:
+            return retract(x, d, self.kinds)
+        out = np.empty((len(d), self.size))
+        retract_all(np.ascontiguousarray(x), np.ascontiguousarray(d), self.kinds, out)
+        return out
 
     def local(self, a: Array, b: Array) -> Array:
-        """The tangent vector (dim,) with ``a (+) d = b``."""
-        return local(a, b, self.kinds, self.dim)
+        """The tangent vector d (dim,) with ``a (+) d = b``; (N, dim) of trajectories (N, size)."""
+        if a.ndim == 1:
+            return local(a, b, self.kinds, self.dim)
+        out = np.empty((len(a), self.dim))
+        local_all(np.ascontiguousarray(a), np.ascontiguousarray(b), self.kinds, out)
+        return out
 
     def right_jacobian(self, d: Array) -> Array:
         """J with ``x (+) (d + e) = (x (+) d) (+) J e`` to first order, (dim, dim)."""

@@ -55,6 +55,30 @@ def toy_problem(measurements: list[Measurement], **changes: Any) -> Problem:
     return replace(Problem(PROCESSES, SENSORS, PRIOR, epochs), **changes)
 
 
+# --- fixes of a linear motion, at irregular times -------------------------------------------
+
+#: Fixes are correlated between axes, so that whitening matters.
+R_FIX = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, -0.02], [0.0, -0.02, 0.05]])
+LINEAR_PRIOR = Prior(np.array([10.0, -5.0, 3.0, 0.0, 0.1, 0.0]), np.diag([4.0] * 3 + [0.01] * 3))
+
+
+def linear_problem(density: float, seed: int = 0, count: int = 30) -> Problem:
+    """Fixes at irregular times, with two at one epoch and some epochs with none."""
+    rng = np.random.default_rng(seed)
+    times = np.concatenate(([0.0], np.cumsum(rng.uniform(0.5, 3.0, count - 1))))
+    processes: dict[str, Any] = {"motion": WhiteNoiseAcceleration(acceleration_density=density)}
+    sensors: dict[str, Any] = {"fix": PositionFix(covariance=R_FIX)}
+    r, v = np.array([11.0, -4.0, 2.0]), np.array([0.05, 0.0, -0.05])
+    measurements = []
+    for k, t in enumerate(times):
+        fixes = 0 if k % 5 in (2, 3) else 2 if k % 7 == 4 else 1
+        if fixes:
+            z = r + t * v + rng.multivariate_normal(np.zeros(3), R_FIX, fixes)
+            measurements.append(Measurement("fix", float(t), z, np.arange(fixes)))
+    epochs = make_epochs(processes, measurements, {}, times)
+    return Problem(processes, sensors, LINEAR_PRIOR, epochs)
+
+
 # --- tracks against each other and against truth -------------------------------------------
 
 

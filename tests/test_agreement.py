@@ -4,43 +4,17 @@ a textbook Kalman filter and with dense least squares."""
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from passes import ESTIMATORS, sigmas
-from toy_model import PositionFix
+from passes import ESTIMATORS, LINEAR_PRIOR, R_FIX, linear_problem, sigmas
 
-from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.estimators import run_estimator
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Prior, Problem, make_epochs
+from relnav_graph.problem import Problem
 from relnav_graph.track import Track
 
 Array = NDArray[np.float64]
-
-#: Fixes are correlated between axes, so that whitening matters.
-R_FIX = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, -0.02], [0.0, -0.02, 0.05]])
-PRIOR = Prior(np.array([10.0, -5.0, 3.0, 0.0, 0.1, 0.0]), np.diag([4.0] * 3 + [0.01] * 3))
-
-
-def _linear(density: float, seed: int = 0, count: int = 30) -> Problem:
-    """Fixes at irregular times, with two at one epoch and some epochs with none."""
-    rng = np.random.default_rng(seed)
-    times = np.concatenate(([0.0], np.cumsum(rng.uniform(0.5, 3.0, count - 1))))
-    processes: dict[str, Any] = {"motion": WhiteNoiseAcceleration(acceleration_density=density)}
-    sensors: dict[str, Any] = {"fix": PositionFix(covariance=R_FIX)}
-    r, v = np.array([11.0, -4.0, 2.0]), np.array([0.05, 0.0, -0.05])
-    measurements = []
-    for k, t in enumerate(times):
-        fixes = 0 if k % 5 in (2, 3) else 2 if k % 7 == 4 else 1
-        if fixes:
-            z = r + t * v + rng.multivariate_normal(np.zeros(3), R_FIX, fixes)
-            measurements.append(Measurement("fix", float(t), z, np.arange(fixes)))
-    epochs = make_epochs(processes, measurements, {}, times)
-    return Problem(processes, sensors, PRIOR, epochs)
-
 
 def _model(dt: float, q: float) -> tuple[Array, Array]:
     """Transition and noise of a velocity that walks at random, by Kronecker products."""
@@ -51,7 +25,7 @@ def _model(dt: float, q: float) -> tuple[Array, Array]:
 
 def _textbook_filter(problem: Problem, q: float) -> tuple[Array, Array]:
     """Kalman 1960, one fix after the other."""
-    x, P = PRIOR.x, PRIOR.P
+    x, P = LINEAR_PRIOR.x, LINEAR_PRIOR.P
     H, xs, Ps = np.eye(3, 6), [], []
     for k, epoch in enumerate(problem.epochs):
         if k:
@@ -78,7 +52,7 @@ def _dense_least_squares(problem: Problem, q: float) -> tuple[Array, Array]:
         rows.append(row)
         rhs.append(whiten @ value)
 
-    add({0: np.eye(6)}, PRIOR.x, PRIOR.P)
+    add({0: np.eye(6)}, LINEAR_PRIOR.x, LINEAR_PRIOR.P)
     for k, (a, b) in enumerate(pairwise(problem.epochs)):
         F, Q = _model(b.t - a.t, q)
         add({k: -F, k + 1: np.eye(6)}, np.zeros(6), Q)
@@ -103,7 +77,7 @@ def _assert_same(found: Track, x: Array, P: Array, tolerance: float) -> None:
 
 @pytest.fixture(scope="module")
 def linear_tracks() -> tuple[Problem, dict[str, Track]]:
-    problem = _linear(0.02)
+    problem = linear_problem(0.02)
     return problem, {kind: run_estimator(kind, problem) for kind in ESTIMATORS}
 
 
@@ -139,7 +113,7 @@ def test_smoother_ends_where_the_filter_ends(
 @pytest.mark.parametrize("ratio", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
 def test_tiny_process_noise_keeps_graphs_and_filters_together(ratio: float) -> None:
     """ratio: of the velocity's noise in one second to its prior sigma, 0.1 m/s."""
-    problem = _linear(0.1 * ratio, seed=3)
+    problem = linear_problem(0.1 * ratio, seed=3)
     ekf, rts, batch, isam2 = (run_estimator(k, problem) for k in ("ekf", "rts", "batch", "isam2"))
     assert isam2.smoothed is not None
     for found, reference in ((batch, rts), (isam2.smoothed, rts), (isam2, ekf)):
@@ -147,7 +121,8 @@ def test_tiny_process_noise_keeps_graphs_and_filters_together(ratio: float) -> N
         np.testing.assert_allclose(sigmas(found.P), sigma, rtol=1e-3)
         assert np.abs((found.x - reference.x) / sigma).max() < 1e-3
     if ratio <= 1e-8:  # what is left is the fit of a straight line through all fixes
-        information, right = np.linalg.inv(PRIOR.P), np.linalg.solve(PRIOR.P, PRIOR.x)
+        information = np.linalg.inv(LINEAR_PRIOR.P)
+        right = information @ LINEAR_PRIOR.x
         for epoch in problem.epochs:
             H = np.kron([1.0, epoch.t], np.eye(3))
             for z in [z for m in epoch.measurements for z in m.z]:

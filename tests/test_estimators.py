@@ -278,7 +278,7 @@ def test_batch_converges_from_a_poor_prior(run: int) -> None:
     found = solve(assembly, problem.prior, track.x, weights, tolerance=1e-6)
     d = differences(layout, track.x, found.x)
     assert np.abs(d / sigmas(track.P)).max() < 0.02
-    assert found.chain.cost < solve(assembly, problem.prior, xs, weights).chain.cost + 1e-3
+    assert found.cost < solve(assembly, problem.prior, xs, weights).cost + 1e-3
     e = layout.local(track.x[-1], xs[-1])
     assert e @ np.linalg.solve(track.P[-1], e) < chdtri(layout.dim, 1e-4)
 

@@ -116,13 +116,12 @@ def nonlinear() -> Nonlinear:
     scenario = load_scenario(ZHANG, ["time.epochs=40"])
     problem = scenario.problem(scenario.simulate(1), 1)
     done = filter_pass(problem, 20)
-    steps, stopped = done.steps, done.stopped
-    assert not stopped
-    start = smooth(problem.layout, steps)[0]
+    assert not done.stopped
+    start = smooth(done)[0]
     assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
     weights = np.ones(assembly.observations)
     solution = solve(assembly, problem.prior, start, weights, tolerance=1e-6)
-    return Nonlinear(problem, start, solution, np.array([s.x for s in steps]))
+    return Nonlinear(problem, start, solution, done.x)
 
 
 def test_batch_gives_that_solution(nonlinear: Nonlinear) -> None:
@@ -134,7 +133,7 @@ def test_batch_gives_that_solution(nonlinear: Nonlinear) -> None:
 def test_custom_factors_have_the_same_cost(nonlinear: Nonlinear) -> None:
     built = nonlinear.graph()
     at_best = built.error(nonlinear.values(nonlinear.solution.x))
-    assert at_best == pytest.approx(nonlinear.solution.chain.cost, rel=1e-9)
+    assert at_best == pytest.approx(nonlinear.solution.cost, rel=1e-9)
     # Not only there: the prior and both ends of each interval count.
     assert built.error(nonlinear.values(nonlinear.displaced(0.5))) > at_best + 1
 

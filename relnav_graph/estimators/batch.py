@@ -10,19 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
-from relnav_graph.chain import (
-    Chain,
-    Conditionals,
-    chain_factors,
-    eliminate,
-    epoch_factor,
-    linearize,
-)
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.ekf import ITERATIONS, filter_pass, judge, nan_tail
+from relnav_graph.estimators.ekf import ITERATIONS, filter_pass, judge
 from relnav_graph.estimators.gating import count_rejected, residual_weights
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Prior, Problem
+from relnav_graph.sweep import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.track import Status, Track
 
 #: What may go wrong on the way to a solution, when the problem is in order.
@@ -37,52 +30,57 @@ Array = NDArray[np.float64]
 class Solution:
     """Trajectory x (N, size), the conditionals there, the final cost and step.
 
-    distance: length of the last Gauss-Newton step, in sigmas over all states; weights:
-    of the observations.
+    status, weights: of the observations; distance: length of the last Gauss-Newton step,
+    in sigmas over all states.
     """
 
     x: Array
     conditionals: Conditionals
-    chain: Chain
+    cost: float
+    status: NDArray[np.int64]
     weights: Array
     distance: float
     iterations: int
 
 
-def _damped(chain: Chain, undamped: Conditionals, damping: float) -> Conditionals:
-    """The same system with Levenberg's rows, in units of each state's own sigma.
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """A pass with everything but the trajectory decided."""
 
-    Scaled by the diagonal of the information, as is usual, damping would freeze the weak
-    directions, which many states share: there a state's own sigma is large.
-    """
-    count, n = undamped.d.shape
-    factors = chain_factors(chain)
-    sigma = np.sqrt(np.einsum("kii->ki", undamped.covariances()))
-    for k in range(count):
-        factors.append(epoch_factor(k, np.diag(np.sqrt(damping) / sigma[k]), np.zeros(n)))
-    return eliminate(factors, count, n)
+    assembly: Assembly
+    anchor: Anchor
+    whiten: Array
+    weights: Array
 
+    def at(self, x: Array, damping: Array | None = None) -> System:
+        return linearize(self.assembly, self.anchor, x, self.whiten, self.weights, damping)
 
-def _moved(
-    assembly: Assembly, prior: Prior, x: Array, step: Array, whiten: Array, chain: Chain
-) -> tuple[Array, Chain | None]:
-    """The trajectory after a step, and its system; None where it cannot be.
+    def damped(self, system: System, damping: float) -> Conditionals:
+        """The same system with Levenberg's rows, in units of each state's own sigma.
 
-    An observation that the step makes impossible must not pass for one that fits.
-    """
-    layout = assembly.layout
-    x_next = np.array([layout.retract(a, d) for a, d in zip(x, step, strict=True)])
-    try:
-        chain_next = linearize(assembly, prior, x_next, whiten, chain.weights)
-    except (GeometryError, ModelError):
-        return x_next, None
-    lost = (chain_next.measurements.status > 0) & (chain.measurements.status == 0)
-    return x_next, None if lost.any() or not np.isfinite(chain_next.cost) else chain_next
+        Scaled by the diagonal of the information, as is usual, damping would freeze the weak
+        directions, which many states share: there a state's own sigma is large.
+        """
+        variances = np.einsum("kii->ki", system.conditionals.covariances())
+        return self.at(system.x, np.sqrt(damping / variances)).conditionals
+
+    def moved(self, system: System, step: Array) -> System | None:
+        """The system after a step; None where it cannot be.
+
+        An observation that the step makes impossible must not pass for one that fits.
+        """
+        x = self.assembly.layout.retract(system.x, step)
+        try:
+            after = self.at(x)
+        except (GeometryError, ModelError, EstimationError):
+            return None
+        lost = (after.status > 0) & (system.status == 0)
+        return None if lost.any() or not np.isfinite(after.cost) else after
 
 
 def solve(
     assembly: Assembly,
-    prior: Prior,
+    prior: Prior | Anchor,
     x: Array,
     weights: Array,
     *,
@@ -98,24 +96,23 @@ def solve(
     taken at the first trajectory, so that the cost stays one function. Raises
     EstimationError on a system without a solution.
     """
-    count, n = len(x), assembly.layout.dim
+    anchor = prior if isinstance(prior, Anchor) else anchor_of(prior)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
-    chain = linearize(assembly, prior, x, whiten, weights)
-    undamped = conditionals = eliminate(chain_factors(chain), count, n)
-    best = x, chain, undamped
+    the_pass = _Pass(assembly, anchor, whiten, weights)
+    best = system = the_pass.at(x)
+    conditionals = system.conditionals
     damping, ventured, distance, iteration = 0.0, 0, np.inf, 0
     while iteration < max_iterations:
         iteration += 1
-        distance = np.sqrt(2 * undamped.decrease())
-        x_next, chain_next = _moved(assembly, prior, x, conditionals.solution(), whiten, chain)
+        distance = np.sqrt(2 * system.conditionals.decrease())
+        after = the_pass.moved(system, conditionals.solution())
         # The cost is a sum of many squares: its own rounding is no reason to stop.
-        better = chain_next is not None and chain_next.cost <= best[1].cost * (1 + 1e-12)
-        if chain_next is not None and (better or (damping == 0.0 and ventured < 2)):
-            x, chain = x_next, chain_next
-            undamped = eliminate(chain_factors(chain), count, n)
+        better = after is not None and after.cost <= best.cost * (1 + 1e-12)
+        if after is not None and (better or (damping == 0.0 and ventured < 2)):
+            system = after
             ventured = 0 if better else ventured + 1
             if better:
-                best = x, chain, undamped
+                best = system
                 converged = distance < tolerance and damping == 0.0
                 damping = damping / 10 if damping > 1e-3 else 0.0
                 if converged:
@@ -123,11 +120,13 @@ def solve(
         elif distance < tolerance or damping > 1e8:
             break
         else:
-            x, chain, undamped = best
+            system = best
             damping, ventured = max(10 * damping, 1e-2), 0
-        conditionals = _damped(chain, undamped, damping) if damping else undamped
-    x, chain, undamped = best
-    return Solution(x, undamped, chain, weights, float(distance), iteration)
+        conditionals = the_pass.damped(system, damping) if damping else system.conditionals
+    return Solution(
+        *(best.x, best.conditionals, best.cost, best.status),
+        *(weights, float(distance), iteration),
+    )
 
 
 def solve_gated(
@@ -135,7 +134,7 @@ def solve_gated(
 ) -> Solution:
     """`solve`, then decide again which observations pass the gate, until they stay."""
     solution = solve(assembly, problem.prior, x, weights, tolerance=tolerance)
-    if not problem.gates and (solution.chain.measurements.status == 0).all():
+    if not problem.gates and (solution.status == 0).all():
         return solution
     everything = np.ones(assembly.observations)
     for _ in range(10):
@@ -160,20 +159,20 @@ class Batch:
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
         start = time.perf_counter()
-        layout, count = problem.layout, len(problem.epochs)
-        x, P = nan_tail([], count, (layout.size,)), nan_tail([], count, (layout.dim, layout.dim))
+        done = filter_pass(problem, ITERATIONS)
+        x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         status: Status = "diverged"
         rejected = dict.fromkeys(problem.sensors, 0)
-        done = filter_pass(problem, ITERATIONS)
         assembly, message = done.assembly, done.stopped
         if not message:
             try:
-                weights = assembly.in_order([s.weights for s in done.steps])
-                solution = solve_gated(assembly, problem, smooth(layout, done.steps)[0], weights)
+                begin, weights = smooth(done, covariances=False)[0], done.weights
+                del done  # its covariances are as large as all that follows
+                solution = solve_gated(assembly, problem, begin, weights)
                 x, P = solution.x, solution.conditionals.covariances()
                 rejected |= count_rejected(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
-                status, message = judge(rejected, problem, 2 * solution.chain.cost, int(rows.sum()))
+                status, message = judge(rejected, problem, 2 * solution.cost, int(rows.sum()))
                 if solution.distance > 0.1:
                     status = "degraded"
                     message = f"not converged: last step {solution.distance:.2g} sigma"
@@ -182,7 +181,7 @@ class Batch:
         return Track(
             name=self.kind,
             kind="smoothed",
-            layout=layout,
+            layout=problem.layout,
             t=problem.times,
             x=x,
             P=P,

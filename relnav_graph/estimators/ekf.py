@@ -4,202 +4,160 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
-from relnav_graph.assembly import Assembly, MeasurementRows
-from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.gating import count_rejected, innovation_weights
+from relnav_graph.assembly import Assembly
+from relnav_graph.errors import EstimationError, GeometryError
+from relnav_graph.estimators.gating import thresholds
+from relnav_graph.filtering import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
 from relnav_graph.problem import Epoch, Problem
-from relnav_graph.state import Layout
 from relnav_graph.track import Innovations, Status, Track
 
-__all__ = ["Ekf", "FilterStep", "IteratedEkf", "KalmanFilter", "update"]
+__all__ = ["Ekf", "FilterPass", "IteratedEkf", "KalmanFilter", "filter_pass"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class FilterStep:
-    """One epoch of a filter.
-
-    The predicted and the updated state, F since the epoch before (None at the first), the
-    weights of the epoch's observations and how many each sensor lost; nis: the squared
-    normalised innovation of the observations used, over `rows` rows; innovations: of each
-    sensor, whitened on its own.
-    """
-
-    t: float
-    x_predicted: Array
-    P_predicted: Array
-    F: Array | None
-    x: Array
-    P: Array
-    weights: Array
-    rejected: Mapping[str, int]
-    nis: float
-    rows: int
-    innovations: Mapping[str, Array]
-
-
-def symmetric(P: Array) -> Array:
-    """P without the asymmetry of rounding."""
-    return 0.5 * (P + P.T)
 
 
 #: Gauss-Newton steps of an iterated update, at most; the same wherever one is made.
 ITERATIONS = 20
 
 
-def _cost(layout: Layout, x0: Array, whiten: Array, x: Array, rows: MeasurementRows) -> float:
-    e = whiten @ layout.local(x0, x)
-    return float(e @ e + rows.r @ rows.r)
+@dataclass(frozen=True, eq=False)
+class FilterPass:
+    """A filter's way through epochs.
 
-
-def _measured(
-    assembly: Assembly, x: Array, weights: Array, before: MeasurementRows
-) -> MeasurementRows | None:
-    """Rows at a new state; None where it is none: not finite, or so that an observation,
-    possible before, has become impossible, which must not pass for one that fits."""
-    try:
-        rows = assembly.measure(x[None], weights)
-    except ModelError:
-        return None
-    lost = (rows.status > 0) & (before.status == 0)
-    return None if lost.any() else rows
-
-
-def update(
-    assembly: Assembly, x0: Array, P0: Array, weights: Array, iterations: int
-) -> tuple[Array, Array]:
-    """Measurement update of one epoch: the state and the covariance, in Joseph's form.
-
-    One iteration is the extended Kalman filter; more are Gauss-Newton steps towards the
-    maximum a posteriori (Bell and Cathey 1993), halved while the cost grows and given up
-    when that does not help. P is in the tangent of the updated state.
+    By epoch: x_predicted (N, size), P_predicted, F since the epoch before (zero at the
+    first) (N, n, n), which may hold the last epoch only; Q: its only; x, P; nis and used: the
+    squared normalised innovation of the rows used, and their number. weights: of the
+    observations, 1 or 0 for one left out; white: innovations, whitened by sensor, NaN where
+    not used. reached: epochs filtered; stopped: why it stopped early, or "".
     """
-    layout = assembly.layout
-    scale = np.sqrt(np.diag(P0))
-    factor = np.linalg.cholesky(P0 / np.outer(scale, scale))
-    whiten = solve_triangular(factor, np.diag(1 / scale), lower=True)
-    x, x_next = x0, x0
-    rows = assembly.measure(x0[None], weights)
-    cost = _cost(layout, x0, whiten, x0, rows)
-    H: Array = rows.H
-    gain: Array = H.T
-    for _ in range(iterations):
-        e = layout.local(x0, x)
-        J = layout.right_jacobian(e)
-        H = rows.H @ J  # to perturbations in the tangent of x0
-        S = H @ P0 @ H.T + np.eye(len(rows.r))
-        gain = np.linalg.solve(S, H @ P0).T.astype(np.float64, copy=False)
-        step = J @ (-gain @ (rows.r - H @ e) - e)
-        if iterations == 1:
-            x_next = layout.retract(x, step)
-            break
-        found = None
-        for _halving in range(10):
-            x_try = layout.retract(x, step)
-            rows_try = _measured(assembly, x_try, weights, rows)
-            if rows_try is not None:
-                cost_try = _cost(layout, x0, whiten, x_try, rows_try)
-                if cost_try <= cost * (1 + 1e-9) + 1e-9:
-                    found = x_try, rows_try, cost_try
-                    break
-            step = 0.5 * step
-        if found is None:  # no way down from here: x is the best there is
-            break
-        # The length of the step in sigmas of the posterior; the next would be its square.
-        length2 = float(np.sum((whiten @ step) ** 2) + np.sum((rows.H @ step) ** 2))
-        x, rows, cost = found
-        x_next = x
-        if length2 < 1e-6:
-            break
-    left = np.eye(layout.dim) - gain @ H
-    P = left @ P0 @ left.T + gain @ gain.T
-    J = layout.right_jacobian(layout.local(x0, x_next))
-    return x_next, symmetric(J @ P @ J.T)
 
+    assembly: Assembly
+    x_predicted: Array
+    P_predicted: Array
+    F: Array
+    Q: Array
+    x: Array
+    P: Array
+    weights: Array
+    white: Array
+    nis: Array
+    used: NDArray[np.int64]
+    reached: int = 0
+    stopped: str = ""
 
-def predict(assembly: Assembly, x: Array, P: Array) -> tuple[Array, Array, Array, Array]:
-    """State (size,) and covariance (n, n) at the end of the assembly's one interval, with
-    its F and Q (n, n). Raises GeometryError, ModelError."""
-    x_next, F, Q = assembly.transition(x[None])
-    return x_next[0], symmetric(F[0] @ P @ F[0].T + Q[0]), F[0], Q[0]
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Observations left out in the epochs reached, by sensor."""
+        seen = self.assembly.epoch_offsets[self.reached]
+        left_out = self.weights == 0
+        left_out[seen:] = False
+        return self.assembly.by_sensor(left_out)
 
+    def verdict(self, rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
+        """Whether to trust what the filter found, by its innovations."""
+        if self.stopped:
+            return "diverged", self.stopped
+        return judge(rejected, problem, float(self.nis.sum()), int(self.used.sum()))
 
-def _whitened(S: Array, r: Array) -> Array:
-    """S^-1/2 r, by the symmetric root, which turns no axis from epoch to epoch.
-
-    S = H P H^T + I has no eigenvalue below 1, whatever rounding makes of it.
-    """
-    w, V = np.linalg.eigh(S)
-    white: Array = V @ (V.T @ r / np.sqrt(np.maximum(w, 1.0)))
-    return white
+    def innovations(self) -> dict[str, Innovations]:
+        """Those of each sensor that saw anything, one epoch after the other."""
+        found, a = {}, self.assembly
+        count = int(a.row_offsets[self.reached])
+        sensor = np.repeat(a.sensor_of, a.heights)[:count]
+        epoch = np.repeat(np.arange(len(a.times)), np.diff(a.row_offsets))[:count]
+        for i, name in enumerate(a.sensor_names):
+            own = (sensor == i) & np.isfinite(self.white[:count])
+            if own.any():
+                at, rows = np.unique(epoch[own], return_counts=True)
+                offsets = np.concatenate(([0], np.cumsum(rows)))
+                found[name] = Innovations(a.times[at], self.white[:count][own], offsets)
+        return found
 
 
 class KalmanFilter:
-    """The filter's machinery: one `step` per epoch."""
+    """The filter's machinery: one `step` per epoch, or `run` over many.
+
+    t, x, P: where it stands. Steps and runs are one compiled function.
+    """
 
     def __init__(self, problem: Problem, iterations: int) -> None:
         self.problem, self.iterations = problem, iterations
         self.t: float | None = None
         self.x, self.P = problem.prior.x, problem.prior.P
 
-    def step(self, epoch: Epoch, assembly: Assembly | None = None) -> FilterStep:
+    def step(self, epoch: Epoch, assembly: Assembly | None = None) -> FilterPass:
         """Predict to the epoch and update with its measurements.
 
         assembly: of this epoch, where the caller has it already.
         Raises EstimationError when the state cannot be propagated or updated, or is no
         longer finite; the filter then stands where it stood before.
         """
-        try:
-            return self._step(epoch, assembly)
-        except (GeometryError, np.linalg.LinAlgError) as error:
-            raise EstimationError(f"t = {epoch.t} s: {error}") from error
-
-    def _step(self, epoch: Epoch, assembly: Assembly | None) -> FilterStep:
-        problem = self.problem
+        p = self.problem
         if assembly is None:
-            assembly = Assembly(
-                problem.layout, problem.processes, problem.sensors, [epoch], t_before=self.t
-            )
-        x, P, F = self.x, self.P, None
-        if self.t is not None:
-            x, P, F, _ = predict(assembly, x, P)
-        x_predicted, P_predicted = x, P
-        weights = np.ones(assembly.observations)
-        nis, used, innovations = 0.0, 0, dict[str, Array]()
-        if assembly.observations:
-            rows = assembly.measure(x[None], weights)
-            weights = innovation_weights(assembly, rows, P, problem.gates)
-            kept = assembly.rows_of(weights > 0)
-            r, H = rows.r[kept], rows.H[kept]
-            S = H @ P @ H.T + np.eye(len(r))
-            nis = float(r @ np.linalg.solve(S, r))
-            used = len(r)
-            for name, part in assembly.sensor_rows.items():
-                own = part[kept]
-                if own.any():
-                    innovations[name] = _whitened(S[np.ix_(own, own)], r[own])
-            x, P = update(assembly, x, P, weights, self.iterations)
-        if not (np.isfinite(x).all() and np.isfinite(P).all()):
-            raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
-        self.t, self.x, self.P = epoch.t, x, P
-        rejected = count_rejected(assembly, weights)
-        return FilterStep(
-            *(epoch.t, x_predicted, P_predicted, F, x, P, weights, rejected, nis, used),
-            innovations,
+            assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], t_before=self.t)
+        done = self.run(assembly)
+        if done.stopped:
+            raise EstimationError(done.stopped)
+        return done
+
+    def run(
+        self, assembly: Assembly, keep: bool = True, seconds: list[float] | None = None
+    ) -> FilterPass:
+        """Filter the epochs of an assembly, or as many as the filter survives.
+
+        keep: the predictions of all epochs, for a smoother; seconds: gets the time of each
+        epoch, s. Raises ModelError when a kernel breaks its contract.
+        """
+        count, n, size = len(assembly.times), self.problem.layout.dim, self.problem.layout.size
+        kept = count if keep else 1
+        F, P_predicted, Q = (np.zeros((k, n, n)) for k in (kept, kept, 1))
+        x, P = np.full((count, size), np.nan), np.full((count, n, n), np.nan)
+        out = FilterPass(
+            *(assembly, np.zeros((kept, size)), P_predicted, F, Q, x, P),
+            *(np.ones(assembly.observations), np.full(int(assembly.row_offsets[-1]), np.nan)),
+            *(np.zeros(count), np.zeros(count, dtype=np.int64)),
         )
+        limits, failure = thresholds(assembly, self.problem.gates), np.zeros(4, dtype=np.int64)
+        arrays = [getattr(out, f.name) for f in fields(out)[1:-2]]
+        for k in range(count) if seconds is not None else [0]:
+            begun, end = time.perf_counter(), k + 1 if seconds is not None else count
+            filter_epochs(
+                *(*assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
+                *(assembly.layout.kinds, limits, self.iterations, k, end),
+                *(self.x, self.P, *arrays, failure),
+            )
+            reached = int(failure[3]) if failure[0] else end
+            if reached:
+                self.t, self.x, self.P = float(assembly.times[reached - 1]), x[reached - 1], P[reached - 1]
+            if failure[0]:
+                x[reached:], P[reached:] = np.nan, np.nan
+                break
+            if seconds is not None:
+                seconds.append(time.perf_counter() - begun)
+        return replace(out, reached=reached, stopped=_why(assembly, failure))
 
 
-def add_counts(counts: list[Mapping[str, int]], sensors: Mapping[str, object]) -> dict[str, int]:
-    """Sum of counts by sensor, every sensor named."""
-    return {name: sum(c.get(name, 0) for c in counts) for name in sensors}
+def _why(assembly: Assembly, failure: NDArray[np.int64]) -> str:
+    """Why a filter stopped, or "". Raises ModelError when a kernel broke its contract."""
+    stage, which, status, k = (int(v) for v in failure)
+    if not stage:
+        return ""
+    if stage == SENSOR_BROKE:
+        assembly.check(np.array([status]), which)
+    if stage != PROPAGATED:
+        return f"t = {assembly.times[k]} s: {FAILURES[stage]}"
+    lag = len(assembly.times) - len(assembly.tables.starts)
+    try:
+        assembly.check_propagated(np.array([k - lag, which, status]))
+    except GeometryError as error:
+        return f"t = {assembly.times[k]} s: {error}"
+    raise AssertionError("unreachable")
 
 
 #: Mean squared normalised residual, per row, beyond which a track is not to be trusted.
@@ -229,57 +187,12 @@ def judge(
     return "ok", ""
 
 
-@dataclass(frozen=True, eq=False)
-class FilterPass:
-    """A filter's way through a pass: its steps, the time of each in s, why it stopped
-    early (or ""), and the assembly of the whole pass."""
-
-    steps: list[FilterStep]
-    seconds: list[float]
-    stopped: str
-    assembly: Assembly
-
-    def verdict(self, rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
-        """Whether to trust what the filter found, by its innovations."""
-        if self.stopped:
-            return "diverged", self.stopped
-        rows = sum(s.rows for s in self.steps)
-        return judge(rejected, problem, sum(s.nis for s in self.steps), rows)
-
-    def innovations(self, problem: Problem) -> dict[str, Innovations]:
-        """Those of each sensor that saw anything."""
-        found = {}
-        for name in problem.sensors:
-            seen = [(s.t, s.innovations[name]) for s in self.steps if name in s.innovations]
-            if seen:
-                t, v = np.array([t for t, _ in seen]), np.concatenate([v for _, v in seen])
-                offsets = np.cumsum([0, *(len(v) for _, v in seen)])
-                found[name] = Innovations(t, v, offsets)
-        return found
-
-
-def filter_pass(problem: Problem, iterations: int) -> FilterPass:
-    """Filter all epochs, or as many as the filter survives."""
+def filter_pass(
+    problem: Problem, iterations: int, keep: bool = True, seconds: list[float] | None = None
+) -> FilterPass:
+    """Filter all epochs, or as many as the filter survives; see `KalmanFilter.run`."""
     assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
-    kalman = KalmanFilter(problem, iterations)
-    steps: list[FilterStep] = []
-    seconds: list[float] = []
-    for k, epoch in enumerate(problem.epochs):
-        start = time.perf_counter()
-        try:
-            steps.append(kalman.step(epoch, assembly.at(k)))
-        except EstimationError as error:
-            return FilterPass(steps, seconds, str(error), assembly)
-        seconds.append(time.perf_counter() - start)
-    return FilterPass(steps, seconds, "", assembly)
-
-
-def nan_tail(values: list[Array], count: int, shape: tuple[int, ...]) -> Array:
-    """(count, *shape): the values, then NaN for the epochs that were never reached."""
-    out = np.full((count, *shape), np.nan)
-    if values:
-        out[: len(values)] = values
-    return out
+    return KalmanFilter(problem, iterations).run(assembly, keep, seconds)
 
 
 @dataclass(frozen=True)
@@ -294,25 +207,22 @@ class Ekf:
 
     def run(self, problem: Problem) -> Track:
         """Filter the whole pass."""
-        start = time.perf_counter()
-        done = filter_pass(problem, self.iterations)
-        steps, seconds = done.steps, done.seconds
-        n, size = problem.layout.dim, problem.layout.size
-        rejected = add_counts([s.rejected for s in steps], problem.sensors)
-        status, message = done.verdict(rejected, problem)
+        start, seconds = time.perf_counter(), list[float]()
+        done = filter_pass(problem, self.iterations, keep=False, seconds=seconds)
+        status, message = done.verdict(done.rejected, problem)
         return Track(
             name=self.kind,
             kind="filtered",
             layout=problem.layout,
             t=problem.times,
-            x=nan_tail([s.x for s in steps], len(problem.epochs), (size,)),
-            P=nan_tail([s.P for s in steps], len(problem.epochs), (n, n)),
+            x=done.x,
+            P=done.P,
             status=status,
             message=message,
             runtime_s=time.perf_counter() - start,
             step_s=np.array(seconds),
-            rejected=rejected,
-            innovations=done.innovations(problem),
+            rejected=done.rejected,
+            innovations=done.innovations(),
         )
 
 

@@ -21,17 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
-from relnav_graph.chain import chain_factors, epoch_factor, interval_factor
-from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, judge, nan_tail, predict, symmetric, update
-from relnav_graph.estimators.gating import count_rejected, innovation_weights
+from relnav_graph.chain import epoch_factor, interval_factor
+from relnav_graph.errors import EstimationError
+from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
+from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter, judge
+from relnav_graph.estimators.gating import count_rejected
 from relnav_graph.problem import Epoch, Problem
+from relnav_graph.sweep import Anchor, Conditionals
 from relnav_graph.track import Status, Track
 
 __all__ = ["IncrementalSmoother", "Isam2"]
 
 Array = NDArray[np.float64]
+#: Epochs in the Bayes tree, at most: GTSAM's bookkeeping after each update grows with them.
+WINDOW = 100
 
 
 def _new_tree() -> gtsam.ISAM2:
@@ -46,13 +49,21 @@ def _new_tree() -> gtsam.ISAM2:
     return gtsam.ISAM2(params)
 
 
-def _insert(tree: gtsam.ISAM2, factors: list[gtsam.JacobianFactor], keys: range, n: int) -> None:
+def _insert(tree: gtsam.ISAM2, factors: list[gtsam.JacobianFactor], key: int, n: int) -> None:
+    """Add the factors of a new key to the tree."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for factor in factors:
         graph.push_back(gtsam.LinearContainerFactor(factor))
-    for key in keys:
-        values.insert(key, np.zeros(n))
+    values.insert(key, np.zeros(n))
     tree.update(graph, values)
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """A part of the past outside the tree: references x (N, size), and their conditionals."""
+
+    x: Array
+    conditionals: Conditionals
 
 
 class IncrementalSmoother:
@@ -64,15 +75,23 @@ class IncrementalSmoother:
     def __init__(self, problem: Problem, ratio: float) -> None:
         self.problem, self.ratio = problem, ratio
         self.epochs: list[Epoch] = []
-        self.x, self.P = problem.prior.x, problem.prior.P
-        self._references: list[Array] = []
-        self._weights: list[Array] = []
+        self._kalman = KalmanFilter(problem, ITERATIONS)
+        self._assemblies: list[Assembly] = []  # adjoining parts: the past, then by epoch
+        self._weights: list[Array] = []  # of the observations of each part
+        self._settled: list[_Settled] = []
+        self._references: list[Array] = []  # of the tree's epochs, the newest ones
         self._tree = _new_tree()
         self._relinearize_at = 1
 
-    def _assemble(self, epochs: list[Epoch], t_before: float | None = None) -> Assembly:
-        p = self.problem
-        return Assembly(p.layout, p.processes, p.sensors, epochs, t_before)
+    @property
+    def x(self) -> Array:
+        """The estimate at the newest epoch (size,)."""
+        return self._kalman.x
+
+    @property
+    def P(self) -> Array:
+        """Its covariance (n, n)."""
+        return self._kalman.P
 
     def step(self, epoch: Epoch, assembly: Assembly | None = None) -> tuple[Array, Array]:
         """Take in one epoch; the estimate there, x (size,) and P (n, n).
@@ -81,97 +100,136 @@ class IncrementalSmoother:
         Raises EstimationError when the state cannot be propagated or updated, or is not
         determined or not finite; the epoch then counts as not taken in.
         """
-        count, x, P = len(self.epochs), self.x, self.P
+        kalman = self._kalman
+        before = kalman.t, kalman.x, kalman.P
+        kept = len(self.epochs), len(self._assemblies), len(self._references)
         try:
             self._step(epoch, assembly)
         except Exception as error:
             # An update that failed leaves the tree unusable: the next step builds it anew.
-            for history in (self.epochs, self._weights, self._references):
-                del history[count:]
-            self.x, self.P, self._tree, self._relinearize_at = x, P, _new_tree(), 0
-            if isinstance(error, (GeometryError, np.linalg.LinAlgError)):
+            kalman.t, kalman.x, kalman.P = before
+            del self.epochs[kept[0] :], self._assemblies[kept[1] :], self._weights[kept[1] :]
+            del self._references[kept[2] :]
+            self._tree, self._relinearize_at = _new_tree(), 0
+            if isinstance(error, np.linalg.LinAlgError):
                 raise EstimationError(f"t = {epoch.t} s: {error}") from error
             raise
         return self.x, self.P
 
     def _step(self, epoch: Epoch, assembly: Assembly | None) -> None:
-        t_before = self.epochs[-1].t if self.epochs else None
+        problem, before, t_before = self.problem, self.x, self._kalman.t
         if assembly is None:
-            assembly = self._assemble([epoch], t_before)
-        x, P, whiten = self.x, self.P, np.zeros((0, 0, 0))
-        if t_before is not None:
-            x, P, _, Q = predict(assembly, x, P)
-            whiten = assembly.whitening(Q[None])
-        everything = np.ones(assembly.observations)
-        rows = assembly.measure(x[None], everything)
-        weights = innovation_weights(assembly, rows, P, self.problem.gates)
-        if weights.any():  # the reference: where an iterated filter would go
-            x, _ = update(assembly, x, P, weights, ITERATIONS)
+            layout, models = problem.layout, (problem.processes, problem.sensors)
+            assembly = Assembly(layout, *models, [epoch], t_before)
+        # The reference: where an iterated filter goes from here.
+        done = self._kalman.step(epoch, assembly)
         self.epochs.append(epoch)
-        self._weights.append(weights)
-        self._references.append(x)
+        self._assemblies.append(assembly)
+        self._weights.append(done.weights)
+        self._references.append(self.x)
         if len(self.epochs) >= self._relinearize_at:
+            self._relinearize(self._trajectory(self.x), 0.1)
             self._relinearize_at = max(
                 len(self.epochs) + 1, math.ceil(self.ratio * len(self.epochs))
             )
-            self._relinearize(self._trajectory(), 0.1)
-        else:
-            self._extend(assembly, whiten, weights)
-        if not (np.isfinite(self.x).all() and np.isfinite(self.P).all()):
-            raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
+            return
+        self._extend(assembly, before, assembly.whitening(done.Q), done.weights)
+        if len(self._references) > WINDOW:
+            self._compact()
 
-    def _extend(self, assembly: Assembly, whiten: Array, weights: Array) -> None:
-        """Add the newest epoch to the tree, linearised at its reference."""
+    def _take(self, x: Array, P: Array) -> None:
+        if not (np.isfinite(x).all() and np.isfinite(P).all()):
+            raise EstimationError(f"t = {self.epochs[-1].t} s: the estimate is not finite")
+        self._kalman.x, self._kalman.P = x, P
+
+    def _extend(self, assembly: Assembly, before: Array, whiten: Array, weights: Array) -> None:
+        """Add the newest epoch to the tree, linearised at its reference; before (size,):
+        the estimate at the epoch before."""
         layout, key = self.problem.layout, len(self.epochs) - 1
         x = self._references[-1]
-        process = assembly.process(np.array([self.x, x]), whiten)
-        # The older end is linearised at today's estimate, reference (+) d; the tree's
+        process = assembly.process(np.array([before, x]), whiten)
+        # The older end is linearised at its latest estimate, reference (+) d; the tree's
         # variable is a perturbation of the reference: the chain rule of the retraction.
-        d = layout.local(self._references[-2], self.x)
+        d = layout.local(self._references[-2], before)
         A = process.A[0] @ layout.right_jacobian(d)
         factors = [interval_factor(key - 1, A, process.B[0], process.e[0] - A @ d)]
         if weights.any():
             rows = assembly.measure(x[None], weights)
             factors.append(epoch_factor(key, rows.H, rows.r))
         try:
-            _insert(self._tree, factors, range(key, key + 1), layout.dim)
+            _insert(self._tree, factors, key, layout.dim)
             d = self._tree.calculateEstimateVector(key)
             P = self._tree.marginalCovariance(key)
         except RuntimeError as error:
             raise EstimationError(f"iSAM2 at epoch {key}: {str(error)[:200]}") from error
         J = layout.right_jacobian(d)
-        self.x, self.P = layout.retract(x, d), symmetric(J @ P @ J.T)
+        P = J @ P @ J.T
+        self._take(layout.retract(x, d), 0.5 * (P + P.T))
 
-    def _trajectory(self) -> Array:
-        """Today's estimate of all epochs (N, size): references moved by the tree."""
-        out = np.array(self._references)
-        known = len(out) - 1  # the newest is not in the tree yet
-        if known and not self._tree.empty():
+    def _in_tree(self, newest: Array) -> Array:
+        """Today's estimate of the tree's epochs: references moved by the tree; newest
+        (size,): that of the last one, which may not be in it yet."""
+        layout, out = self.problem.layout, np.array(self._references)
+        first = len(self.epochs) - len(out)
+        if not self._tree.empty():
             best = self._tree.calculateBestEstimate()
-            for k in range(known):
-                out[k] = self.problem.layout.retract(out[k], best.atVector(k))
+            for k in range(len(out) - 1):
+                out[k] = layout.retract(out[k], best.atVector(first + k))
+        out[-1] = newest
         return out
+
+    def _trajectory(self, newest: Array) -> Array:
+        """Today's estimate of all epochs (N, size): behind the tree, the conditionals of
+        what has left it carry its news back."""
+        layout, parts = self.problem.layout, [self._in_tree(newest)]
+        for part in reversed(self._settled):  # each ends where the next one begins
+            end = layout.local(part.x[-1], parts[-1][0])
+            parts.append(layout.retract(part.x, part.conditionals.solution(end))[:-1])
+        return np.concatenate(parts[::-1])
+
+    def _settle(self, solution: Solution, parts: int, assembly: Assembly) -> None:
+        """Leave the last parts of the past, now one, to their conditionals; the tree begins
+        anew with what they say of the newest epoch."""
+        R = solution.conditionals.R[-1]
+        inverse = np.linalg.inv(R)
+        self._take(solution.x[-1], inverse @ inverse.T)
+        self._settled.append(_Settled(solution.x, solution.conditionals))
+        self._assemblies[-parts:] = [assembly]
+        self._weights[-parts:] = [solution.weights]
+        self._references = [self.x]
+        self._tree = _new_tree()
+        key = len(self.epochs) - 1
+        summary = epoch_factor(key, R, -solution.conditionals.d[-1])
+        _insert(self._tree, [summary], key, len(R))
+
+    def _compact(self) -> None:
+        """The tree's epochs leave it, relinearised among themselves for the last time
+        before the whole history is."""
+        parts = len(self._references) - 1  # the first one's measurements are in the summary
+        assembly = Assembly.join(self._assemblies[-parts:])
+        weights = np.concatenate(self._weights[-parts:])
+        settled, x = self._settled[-1], self._in_tree(self.x)
+        c = settled.conditionals
+        summary = Anchor(settled.x[-1], c.R[-1], c.d[-1])
+        solution = solve(assembly.preceded(), summary, x, weights, tolerance=0.1)
+        self._settle(solution, parts, assembly)
 
     def _relinearize(self, x: Array, tolerance: float) -> tuple[Assembly, Solution]:
         """Gauss-Newton over the whole history from x, and a new tree at its result."""
-        layout = self.problem.layout
-        assembly = self._assemble(self.epochs)
-        weights = assembly.in_order(self._weights)
+        assembly = Assembly.join(self._assemblies)
+        weights = np.concatenate(self._weights)
         solution = solve_gated(assembly, self.problem, x, weights, tolerance)
-        self._references = list(solution.x)
-        self._weights = assembly.by_epoch(solution.weights)
-        self._tree = _new_tree()
-        _insert(self._tree, chain_factors(solution.chain), range(len(x)), layout.dim)
-        self.x = solution.x[-1]
-        inverse = np.linalg.inv(solution.conditionals.R[-1])
-        self.P = symmetric(inverse @ inverse.T)
+        before, self._settled = self._settled, []
+        try:
+            self._settle(solution, len(self._assemblies), assembly)
+        except EstimationError:
+            self._settled = before
+            raise
         return assembly, solution
 
     def finish(self) -> tuple[Assembly, Solution]:
         """Relinearise once more, to convergence: the whole trajectory, smoothed."""
-        x = self._trajectory()
-        x[-1] = self.x
-        return self._relinearize(x, 1e-3)
+        return self._relinearize(self._trajectory(self.x), 1e-3)
 
 
 @dataclass(frozen=True)
@@ -190,26 +248,22 @@ class Isam2:
         start = time.perf_counter()
         smoother = IncrementalSmoother(problem, self.ratio)
         layout, count = problem.layout, len(problem.epochs)
-        xs: list[Array] = []
-        Ps: list[Array] = []
         seconds: list[float] = []
-        smoothed_x = nan_tail([], count, (layout.size,))
-        smoothed_P = nan_tail([], count, (layout.dim, layout.dim))
+        x, smoothed_x = np.full((2, count, layout.size), np.nan)
+        P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
         rejected = dict.fromkeys(problem.sensors, 0)
         status: Status = "diverged"
         assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
         try:
             for k, epoch in enumerate(problem.epochs):
                 begun = time.perf_counter()
-                x, P = smoother.step(epoch, assembly.at(k))
+                x[k], P[k] = smoother.step(epoch, assembly.at(k))
                 seconds.append(time.perf_counter() - begun)
-                xs.append(x)
-                Ps.append(P)
             assembly, solution = smoother.finish()
             smoothed_x, smoothed_P = solution.x, solution.conditionals.covariances()
             rejected |= count_rejected(assembly, solution.weights)
             rows = assembly.rows_of(solution.weights > 0)
-            status, message = judge(rejected, problem, 2 * solution.chain.cost, int(rows.sum()))
+            status, message = judge(rejected, problem, 2 * solution.cost, int(rows.sum()))
         except UNSOLVED as error:
             message = str(error)
         smoothed = Track(
@@ -229,8 +283,8 @@ class Isam2:
             kind="filtered",
             layout=layout,
             t=problem.times,
-            x=nan_tail(xs, count, (layout.size,)),
-            P=nan_tail(Ps, count, (layout.dim, layout.dim)),
+            x=x,
+            P=P,
             status=status,
             message=message,
             runtime_s=sum(seconds),

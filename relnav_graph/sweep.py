@@ -1,0 +1,260 @@
+"""A Gauss-Newton step over a whole pass: linearise and eliminate epoch by epoch, compiled.
+
+The pass is a chain of epochs. Going forward in time, the rows of each epoch (what is known of
+it from before, its measurements, the interval that follows) are brought to triangular form
+by orthogonal reflections: a square-root information filter (Bierman 1977; Kaminski, Bryson,
+Schmidt 1971). Nothing is squared, so that any ratio of process to state noise will do. What
+is left of each epoch is its conditional density given the next one; going back gives the
+step and all marginal covariances. `relnav_graph.chain` has GTSAM do the same with the same
+rows, as the check.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.assembly import Assembly, inverse_cholesky
+from relnav_graph.compiled import INDICES, MATRIX, STACK, VECTOR, jit_as
+from relnav_graph.errors import EstimationError
+from relnav_graph.loops import INDEX_MATRIX, TABLES, interval_row, observe, propagate
+from relnav_graph.matrices import householder, inverse_upper, sandwich
+from relnav_graph.problem import Prior
+from relnav_graph.state import Layout
+
+__all__ = ["Anchor", "Conditionals", "System", "anchor_of", "linearize"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """What is known of the first epoch beforehand: W local(x, x_0) - d ~ N(0, I).
+
+    x (size,); W (n, n); d (n,). A prior, or the exact linear summary of an earlier part.
+    """
+
+    x: Array
+    W: Array
+    d: Array
+
+    def rows(self, layout: Layout, x: Array) -> tuple[Array, Array]:
+        """Whitened rows e + A d at x (size,): (n,), (n, n)."""
+        e = layout.local(self.x, x)
+        return self.W @ e - self.d, self.W @ layout.right_jacobian_inverse(e)
+
+
+def anchor_of(prior: Prior) -> Anchor:
+    """The prior as an anchor."""
+    return Anchor(prior.x, inverse_cholesky("the prior", prior.P), np.zeros(len(prior.P)))
+
+
+@jit_as(
+    *TABLES,
+    *(INDICES, INDICES, INDEX_MATRIX, MATRIX, VECTOR, STACK, VECTOR, MATRIX, MATRIX),
+    *(STACK, STACK, MATRIX, INDICES, VECTOR, INDICES),
+)
+def _sweep(
+    sensors: Indices,
+    observations: Indices,
+    processes: Indices,
+    intervals: Indices,
+    starts: Array,
+    places: Indices,
+    numbers: Array,
+    epoch_offsets: Indices,
+    row_offsets: Indices,
+    kinds: Indices,
+    x: Array,
+    weight: Array,
+    whiten: Array,
+    prior_e: Array,
+    prior_A: Array,
+    damping: Array,
+    R: Array,
+    S: Array,
+    d: Array,
+    status: Indices,
+    cost: Array,
+    failure: Indices,
+) -> None:
+    """Conditionals R, S, d at the trajectory x (N, size), and half the squared residuals.
+
+    damping (N, n): further rows on the diagonal, or (0, n).
+    """
+    count, n = d.shape
+    most, damped = 0, damping.shape[0] > 0
+    for k in range(count):
+        most = max(most, row_offsets[k + 1] - row_offsets[k])
+    a = np.zeros((n + max(n, most + (n if damped else 0)), 2 * n + 1))
+    r_all, H_all = np.empty(most), np.empty((most, n))
+    x_next, F, Q = np.zeros(x.shape[1]), np.empty((n, n)), np.empty((n, n))
+    e, A, B = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    squares = 0.0
+    # Columns of a: this epoch, the right-hand side, the next epoch.
+    for i in range(n):
+        for j in range(n):
+            a[i, j] = prior_A[i, j]
+        a[i, n] = -prior_e[i]
+        squares += prior_e[i] * prior_e[i]
+    for k in range(count):
+        first, last = epoch_offsets[k], epoch_offsets[k + 1]
+        m = row_offsets[k + 1] - row_offsets[k]
+        r, H = r_all[:m], H_all[:m]
+        observe(
+            sensors, observations, places, numbers, first, last, 0, x,
+            weight[first:last], r, H, status[first:last],
+        )
+        for i in range(m):
+            squares += r[i] * r[i]
+            for j in range(n):
+                a[n + i, j] = H[i, j]
+            a[n + i, n] = -r[i]
+        rows = n + m
+        if damped:
+            for i in range(n):
+                for j in range(n + 1):
+                    a[rows + i, j] = 0.0
+                a[rows + i, i] = damping[k, i]
+            rows += n
+        householder(a, n, 0, rows, n + 1)
+        if k < count - 1:
+            process, code = propagate(
+                processes, intervals, starts, places, numbers, k, x[k], x_next, F, Q
+            )
+            if code != 0:
+                failure[0], failure[1], failure[2] = k, process, code
+                return
+            interval_row(x_next, x[k + 1], F, whiten[k], kinds, e, A, B)
+            for i in range(n):
+                squares += e[i] * e[i]
+                for j in range(n):
+                    a[i, n + 1 + j] = 0.0
+                    a[n + i, j] = A[i, j]
+                    a[n + i, n + 1 + j] = B[i, j]
+                a[n + i, n] = -e[i]
+            householder(a, n, n, 2 * n, 2 * n + 1)
+        for i in range(n):
+            d[k, i] = a[i, n]
+            for j in range(n):
+                R[k, i, j] = a[i, j] if j >= i else 0.0
+                if k < count - 1:
+                    S[k, i, j] = a[i, n + 1 + j]
+                    a[i, j] = a[n + i, n + 1 + j]
+            a[i, n] = a[n + i, n]
+    cost[0] = 0.5 * squares
+
+
+@jit_as(STACK, STACK, MATRIX, VECTOR, types.int64, MATRIX)
+def _back_substitute(R: Array, S: Array, d: Array, end: Array, known: int, out: Array) -> None:
+    """known: whether `end` gives the last epoch's."""
+    count, n = d.shape
+    for k in range(count - 1, -1, -1):
+        for i in range(n - 1, -1, -1):
+            value = d[k, i]
+            if k < count - 1:
+                for j in range(n):
+                    value -= S[k, i, j] * out[k + 1, j]
+            for j in range(i + 1, n):
+                value -= R[k, i, j] * out[k, j]
+            out[k, i] = value / R[k, i, i]
+        if known and k == count - 1:
+            for i in range(n):
+                out[k, i] = end[i]
+
+
+@jit_as(STACK, STACK, STACK)
+def _covariances(R: Array, S: Array, P: Array) -> None:
+    """P_k = R^-1 (I + S P_k+1 S^T) R^-T, backwards from P_N = (R^T R)^-1."""
+    count, n = R.shape[0], R.shape[1]
+    inner = np.empty((n, n))
+    for k in range(count - 1, -1, -1):
+        if k < count - 1:
+            sandwich(S[k], P[k + 1], inner)
+            for i in range(n):
+                inner[i, i] += 1.0
+        else:
+            inner = so3.identity(n)
+        sandwich(inverse_upper(R[k]), inner, P[k])
+
+
+@dataclass(frozen=True, eq=False)
+class Conditionals:
+    """R_k d_k + S_k d_k+1 = d_k of every epoch: (N, n, n), (N - 1, n, n), (N, n)."""
+
+    R: Array
+    S: Array
+    d: Array
+
+    def solution(self, end: Array | None = None) -> Array:
+        """The Gauss-Newton step (N, n); end (n,): that of the last epoch, where it is known
+        better."""
+        out = np.empty_like(self.d)
+        last = self.d[-1] if end is None else np.ascontiguousarray(end)
+        _back_substitute(self.R, self.S, self.d, last, int(end is not None), out)
+        return out
+
+    def covariances(self) -> Array:
+        """Marginal covariances (N, n, n) of all epochs."""
+        P = np.empty_like(self.R)
+        _covariances(self.R, self.S, P)
+        return P
+
+    def decrease(self) -> float:
+        """By how much the linear system's cost falls: half the squared length of the
+        step in units of sigma."""
+        return 0.5 * float(np.sum(self.d**2))
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A pass linearised at the trajectory x (N, size) and eliminated.
+
+    cost: half the sum of all squared whitened residuals; status: of the observations.
+    """
+
+    x: Array
+    cost: float
+    status: Indices
+    conditionals: Conditionals
+
+
+def linearize(
+    assembly: Assembly,
+    anchor: Anchor,
+    x: Array,
+    whiten: Array,
+    weight: Array,
+    damping: Array | None = None,
+) -> System:
+    """Linearise at the trajectory x (N, size) and eliminate.
+
+    whiten (N - 1, n, n): of the process noise; weight: of the observations; damping
+    (N, n): diagonals of further rows d_k ~ 0. Raises ModelError or GeometryError when a
+    model cannot be evaluated, EstimationError when the system is not finite or does not
+    determine every epoch.
+    """
+    count, n = len(x), assembly.layout.dim
+    R, S, d = np.empty((count, n, n)), np.empty((count - 1, n, n)), np.empty((count, n))
+    status, cost = np.zeros(assembly.observations, dtype=np.int64), np.zeros(1)
+    failure = np.zeros(3, dtype=np.int64)
+    _sweep(
+        *(*assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
+        *(assembly.layout.kinds, x, weight, whiten, *anchor.rows(assembly.layout, x[0])),
+        *(np.zeros((0, n)) if damping is None else damping, R, S, d, status, cost, failure),
+    )
+    assembly.check(status)
+    assembly.check_propagated(failure)
+    diagonals = np.einsum("kii->ki", R)
+    # A NaN spreads to all that follows it, so the last epoch tells.
+    if not (np.isfinite(d).all() and np.isfinite(R[-1]).all()):
+        raise EstimationError("the factor graph's linear system is not finite")
+    if not diagonals.all():
+        k = int(np.nonzero(~diagonals.all(axis=1))[0][0])
+        raise EstimationError(f"the factor graph does not determine epoch {k}")
+    return System(x, float(cost[0]), status, Conditionals(R, S, d))
