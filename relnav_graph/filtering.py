@@ -1,4 +1,4 @@
-"""The compiled filter step, and the smoother's way back.
+"""The compiled filter step.
 
 One definition serves a whole pass and a single epoch, offline and online. Rows are
 whitened: the noise of the measurements is the unit matrix.
@@ -31,7 +31,15 @@ from relnav_graph.matrices import (
 )
 from relnav_graph.state import local, retract, times_jacobian
 
-__all__ = ["FAILURES", "PROPAGATED", "SENSOR_BROKE", "backward", "filter_epochs"]
+__all__ = [
+    "FAILURES",
+    "NOT_POSITIVE",
+    "PROPAGATED",
+    "SENSOR_BROKE",
+    "filter_epochs",
+    "scaled_cholesky",
+    "to_tangent",
+]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -71,7 +79,7 @@ def _sum_of_squares(v: Array) -> float:
 
 
 @jit
-def _scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
+def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
     """L of the correlation matrix of P, and the sigmas; False unless positive definite."""
     for i in range(P.shape[0]):
         scale[i] = np.sqrt(P[i, i])
@@ -128,18 +136,19 @@ def _joseph(P0: Array, gain_T: Array, H: Array, P: Array) -> None:
 def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
     """``P = J P J^T``: a covariance moved to the tangent of the state that is d away (or,
     inverse, from there). Exactly symmetric."""
-    for _ in range(2):  # P J^T is (J P)^T
-        for k in range(kinds.shape[0]):
-            if kinds[k, 0]:
-                j = kinds[k, 2]
-                phi = so3.vector_at(d, j)
-                block = so3.right_jacobian_inverse(phi) if inverse else so3.right_jacobian(phi)
-                for c in range(P.shape[0]):
-                    row = so3.rotate(block, so3.vector_at(P[c], j))
-                    so3.put_vector(P[c], j, row)
-        for i in range(P.shape[0]):
-            for j in range(i):
-                P[i, j], P[j, i] = P[j, i], P[i, j]
+    for k in range(kinds.shape[0]):
+        if kinds[k, 0]:
+            j = kinds[k, 2]
+            phi = so3.vector_at(d, j)
+            J = so3.right_jacobian_inverse(phi) if inverse else so3.right_jacobian(phi)
+            for c in range(P.shape[0]):
+                a0, a1, a2 = P[j, c], P[j + 1, c], P[j + 2, c]
+                for m in range(3):
+                    P[j + m, c] = J[m, 0] * a0 + J[m, 1] * a1 + J[m, 2] * a2
+            for c in range(P.shape[0]):
+                a0, a1, a2 = P[c, j], P[c, j + 1], P[c, j + 2]
+                for m in range(3):
+                    P[c, j + m] = J[m, 0] * a0 + J[m, 1] * a1 + J[m, 2] * a2
     symmetrize(P)
 
 
@@ -178,7 +187,7 @@ def update(
     """
     n = P.shape[0]
     x0, P0, scale, L = x.copy(), P.copy(), np.empty(n), np.empty((n, n))
-    if not _scaled_cholesky(P0, scale, L):
+    if not scaled_cholesky(P0, scale, L):
         return False
     r, H, H0 = np.empty(rows), np.empty((rows, n)), np.empty((rows, n))
     r_try, H_try = np.empty(rows), np.empty((rows, n))
@@ -201,7 +210,7 @@ def update(
         step = np.empty((1, n))
         for j in range(n):
             step[0, j] = -ahead[j] - e[j]
-        _step_to_tangent(step, e, kinds)
+        _stepto_tangent(step, e, kinds)
         if iterations == 1:
             moved = retract(x, step[0], kinds)
             for i in range(x.shape[0]):
@@ -240,7 +249,7 @@ def update(
 
 
 @jit
-def _step_to_tangent(step: Array, e: Array, kinds: Indices) -> None:
+def _stepto_tangent(step: Array, e: Array, kinds: Indices) -> None:
     """``step = J step``, one row."""
     for k in range(kinds.shape[0]):
         if kinds[k, 0]:
@@ -253,7 +262,7 @@ def _step_to_tangent(step: Array, e: Array, kinds: Indices) -> None:
 
 @jit
 def _gate(
-    observations: Indices, sensors: Indices, H: Array, S: Array, r: Array, limit: Array,
+    observations: Indices, sensors: Indices, S: Array, r: Array, limit: Array,
     first: int, weight: Array
 ) -> None:
     """Leave out the observations whose innovation is beyond their limit, each on its own."""
@@ -274,29 +283,11 @@ def _gate(
                 weight[i] = 1.0
 
 
-@jit
-def _whiten(S: Array, r: Array, member: Indices, of: int, white: Array) -> bool:
-    """Innovations of the rows that belong to `of`, whitened together, into white."""
-    chosen = np.flatnonzero(member == of)
-    count = chosen.shape[0]
-    own, v = np.empty((count, count)), np.empty((count, 1))
-    for a in range(count):
-        v[a, 0] = r[chosen[a]]
-        for b in range(count):
-            own[a, b] = S[chosen[a], chosen[b]]
-    if not cholesky(own):
-        return False
-    solve_lower(own, v)
-    for a in range(count):
-        white[chosen[a]] = v[a, 0]
-    return True
-
-
 @jit_as(
     *TABLES,
     *(INDICES, INDICES, INDEX_MATRIX, VECTOR, types.int64, types.int64, types.int64),
     *(VECTOR, MATRIX, MATRIX, STACK, STACK, STACK),
-    *(MATRIX, STACK, VECTOR, VECTOR, VECTOR, INDICES, INDICES),
+    *(MATRIX, STACK, VECTOR, VECTOR, INDICES, INDICES),
 )
 def filter_epochs(
     sensors: Indices,
@@ -322,7 +313,6 @@ def filter_epochs(
     x: Array,
     P: Array,
     weight: Array,
-    white: Array,
     nis: Array,
     used: Indices,
     failure: Indices,
@@ -333,8 +323,7 @@ def filter_epochs(
     of the gate, for each observation. Fills, by epoch, predictions, F and Q (which may have
     room for one epoch only, then the last one's), x, P, nis and used (squared normalised
     innovation of the rows used, and their number); by observation, weight (1, or 0 for one
-    left out); by row, white: innovations whitened by sensor, NaN where not used. failure
-    (4,): what stopped it, process or observation, status, epoch.
+    left out). failure (4,): what stopped it, process or observation, status, epoch.
     """
     lag = epoch_offsets.shape[0] - 1 - starts.shape[0]
     xk, Pk = x_before.copy(), P_before.copy()
@@ -345,29 +334,29 @@ def filter_epochs(
         if k >= lag:
             a, status = propagate(
                 processes, intervals, starts, places, numbers, k - lag, xk,
-                x_predicted[slot], F[slot], Q[0],
+                x_predicted[k], F[slot], Q[0],
             )
             if status != 0:
                 failure[0], failure[1], failure[2] = PROPAGATED, a, status
                 return
             for i in range(xk.shape[0]):
-                xk[i] = x_predicted[slot, i]
-            sandwich(F[slot], Pk, P_predicted[slot])
+                xk[i] = x_predicted[k, i]
+            sandwich(F[slot], Pk, P_predicted[k])
             for i in range(n):
                 for j in range(n):
-                    P_predicted[slot, i, j] += Q[0, i, j]
-                    Pk[i, j] = P_predicted[slot, i, j]
+                    P_predicted[k, i, j] += Q[0, i, j]
+                    Pk[i, j] = P_predicted[k, i, j]
         else:
             for i in range(xk.shape[0]):
-                x_predicted[slot, i] = xk[i]
-            _copy(Pk, P_predicted[slot])
+                x_predicted[k, i] = xk[i]
+            _copy(Pk, P_predicted[k])
         first, last = epoch_offsets[k], epoch_offsets[k + 1]
         start, stop = row_offsets[k], row_offsets[k + 1]
         nis[k], used[k] = 0.0, 0
         if last > first:
             _measured_epoch(
                 sensors, observations, places, numbers, k, first, last,
-                xk, Pk, limit[first:last], weight[first:last], white[start:stop],
+                xk, Pk, limit[first:last], weight[first:last], stop - start,
                 nis[k : k + 1], used[k : k + 1], failure,
             )
             if failure[0] == 0 and not update(
@@ -403,15 +392,15 @@ def _measured_epoch(
     P: Array,
     limit: Array,
     weight: Array,
-    white: Array,
+    rows: int,
     nis: Array,
     used: Indices,
     failure: Indices,
 ) -> None:
-    """Weights and innovations of an epoch at its prediction."""
-    rows, n = white.shape[0], P.shape[0]
+    """Weights of an epoch's observations, by their innovations at the prediction."""
+    n = P.shape[0]
     r, H, HP, S = np.empty(rows), np.empty((rows, n)), np.empty((rows, n)), np.empty((rows, rows))
-    status, member = np.empty(last - first, np.int64), np.full(rows, -1)
+    status = np.empty(last - first, np.int64)
     for i in range(last - first):
         weight[i] = 1.0
     at = x.copy().reshape(1, x.shape[0])
@@ -422,85 +411,21 @@ def _measured_epoch(
             return
         weight[i] = 1.0 if status[i] == 0 else 0.0
     _innovation_covariance(H, P, HP, S)
-    _gate(observations, sensors, H, S, r, limit, first, weight)
+    _gate(observations, sensors, S, r, limit, first, weight)
+    # Rows that are not used stand aside: zero innovation, unit variance, no correlation.
     for i in range(last - first):
         start = observations[first + i, ROW] - observations[first, ROW]
-        sensor = observations[first + i, SENSOR]
+        count = sensors[observations[first + i, SENSOR], ROWS]
         if weight[i] != 0.0:
-            for a in range(sensors[sensor, ROWS]):
-                member[start + a] = sensor
-    for i in range(rows):
-        white[i] = np.nan
-        if member[i] >= 0:
-            used[0] += 1
-    # Rows that are not used stand aside: zero innovation, unit variance, no correlation.
-    for i in range(rows):
-        if member[i] < 0:
-            r[i] = 0.0
+            used[0] += count
+            continue
+        for a in range(start, start + count):
+            r[a] = 0.0
             for j in range(rows):
-                S[i, j] = S[j, i] = 1.0 if i == j else 0.0
-    good = True
-    for sensor in range(sensors.shape[0]):
-        good = good and _whiten(S, r, member, sensor, white)
+                S[a, j] = S[j, a] = 1.0 if a == j else 0.0
     whole = r.copy().reshape(rows, 1)
-    if not (good and cholesky(S)):
+    if not cholesky(S):
         failure[0] = NOT_POSITIVE
         return
     solve_lower(S, whole)
     nis[0] = _sum_of_squares(whole[:, 0])
-
-
-@jit_as(INDEX_MATRIX, MATRIX, STACK, MATRIX, STACK, STACK, types.int64, MATRIX, STACK, INDICES)
-def backward(
-    kinds: Indices,
-    x: Array,
-    P: Array,
-    x_predicted: Array,
-    P_predicted: Array,
-    F: Array,
-    covariances: int,
-    xs: Array,
-    Ps: Array,
-    failure: Indices,
-) -> None:
-    """Smoothed xs (N, size) and, where wanted, covariances Ps (N, n, n) of a filter's pass.
-
-    Rauch, Tung, Striebel 1965; the differences are tangent vectors and covariances move
-    between tangents by the right Jacobian.
-    """
-    count, n = P.shape[0], P.shape[1]
-    scale, L, gain_T = np.empty(n), np.empty((n, n)), np.empty((n, n))
-    gain, change, moved = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    for i in range(xs.shape[1]):
-        xs[count - 1, i] = x[count - 1, i]
-    if covariances:
-        _copy(P[count - 1], Ps[count - 1])
-    for k in range(count - 2, -1, -1):
-        if not _scaled_cholesky(P_predicted[k + 1], scale, L):
-            failure[0], failure[3] = NOT_POSITIVE, k + 1
-            return
-        product(F[k + 1], P[k], gain_T)
-        for i in range(n):
-            for j in range(n):
-                gain_T[i, j] /= scale[i]
-        solve_lower(L, gain_T)
-        solve_lower_transposed(L, gain_T)
-        for i in range(n):
-            for j in range(n):
-                gain[j, i] = gain_T[i, j] / scale[i]
-        d = local(x_predicted[k + 1], xs[k + 1], kinds, n)
-        move = so3.rotate(gain, d)
-        smoothed = retract(x[k], move, kinds)
-        for i in range(xs.shape[1]):
-            xs[k, i] = smoothed[i]
-        if covariances:
-            _copy(Ps[k + 1], change)
-            to_tangent(change, d, kinds, True)
-            for i in range(n):
-                for j in range(n):
-                    change[i, j] -= P_predicted[k + 1, i, j]
-            sandwich(gain, change, moved)
-            for i in range(n):
-                for j in range(n):
-                    Ps[k, i, j] = P[k, i, j] + moved[i, j]
-            to_tangent(Ps[k], move, kinds, False)

@@ -201,17 +201,21 @@ def read(
 
 
 def authors_rate(folder: Path, run: str = "") -> tuple[Array, Array, Array]:
-    """The authors' own estimates and the truth: times (N,), s, of the first odometry
-    message on, the target's rate estimated and true, w_ti_c (N, 3), rad/s.
+    """The authors' own estimates and the truth: times (N,), s, since the first odometry
+    message, the target's rate estimated and true, w_ti_c (N, 3), rad/s.
 
-    Their twist is that of the chaser as seen from the target, in chaser axes: the other
-    way round. Raises InputError as :func:`read` does.
+    Their twist turns the world as seen from the target: in the axes of their own estimate
+    of the pose, with the sign of the chaser's motion. (Of all readings this one is nearest
+    to the truth.) Raises InputError as :func:`read` does.
     """
     found = _topic(folder, "target_est_twist", run, _TWIST)
+    pose = _topic(folder, "target_est_pose", run, _TURN)
     odometry = _topic(folder, "chaser_deltapose", run, _PLACE)
-    assert found is not None
-    assert odometry is not None
-    truth = _truth(folder, run, found.t, None)
-    if truth is None:
+    chaser = _topic(folder, "chaser_gt_pose", run, _TURN)
+    truth = None if found is None else _truth(folder, run, found.t, None)
+    if found is None or pose is None or odometry is None or chaser is None or truth is None:
         raise InputError(f"{folder}: no ground truth to compare with")
-    return found.t - odometry.t[0], -found.values, truth.values["target_rate"]
+    w_ti_o = -np.einsum("nij,nj->ni", pose.at(found.t, pose.rotations(0)), found.values)
+    R_oc = chaser.at(found.t, chaser.rotations(0))
+    estimate = np.einsum("nji,nj->ni", R_oc, w_ti_o)
+    return found.t - odometry.t[0], estimate, truth.values["target_rate"]
