@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
+from relnav_graph.models import DerivedQuantity
 from relnav_graph.state import (
     BODY_RATE,
     CHASER_ATTITUDE,
@@ -44,43 +45,69 @@ def position_in_target(R_ot: Array, r_tc_o: Array) -> tuple[Array, Array]:
     return r_tc_t, jacobian
 
 
+@jit
+def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -> None:
+    """`relative_attitude` at N epochs, into the last two arguments."""
+    for k in range(R_oc.shape[0]):
+        one, slope = relative_attitude(R_oc[k], R_ot[k])
+        so3.put(R_tc[k], 0, 0, one, 1.0)
+        so3.put(jacobian[k], 0, 0, slope, 1.0)
+
+
+@jit
+def positions_in_target(R_ot: Array, r_tc_o: Array, r_tc_t: Array, jacobian: Array) -> None:
+    """`position_in_target` at N epochs, into the last two arguments."""
+    for k in range(R_ot.shape[0]):
+        one, slope = position_in_target(R_ot[k], r_tc_o[k])
+        so3.put_vector(r_tc_t[k], 0, one)
+        so3.put(jacobian[k], 0, 0, slope, 1.0)
+
+
 @dataclass(frozen=True)
-class RelativeAttitude:
+class RelativeAttitude(DerivedQuantity):
     """R_tc = R_ot^T R_oc."""
 
     kind: ClassVar[str] = "relative_attitude"
     block: ClassVar[Block] = RELATIVE_ATTITUDE
     reads: ClassVar[tuple[Block, ...]] = (CHASER_ATTITUDE, TARGET_ATTITUDE)
 
-    def value(self, *x: Array) -> tuple[Array, Array]:
-        """R_tc (3, 3) and its Jacobian (3, 6)."""
-        return relative_attitude(*(np.ascontiguousarray(v) for v in x))
+    def values(self, *x: Array) -> tuple[Array, Array]:
+        """R_tc (N, 3, 3) and its Jacobian (N, 3, 6)."""
+        R_oc, R_ot = (np.ascontiguousarray(v) for v in x)
+        out, jacobian = np.empty(R_oc.shape), np.empty((len(R_oc), 3, 6))
+        relative_attitudes(R_oc, R_ot, out, jacobian)
+        return out, jacobian
 
 
 @dataclass(frozen=True)
-class PositionInTarget:
+class PositionInTarget(DerivedQuantity):
     """r_tc_t = R_ot^T r_tc_o: where the chaser is as seen from the target's body."""
 
     kind: ClassVar[str] = "position_in_target"
     block: ClassVar[Block] = Block("position_in_target", "r_tc_t", "vector", 3, "m", "t", "m")
     reads: ClassVar[tuple[Block, ...]] = (TARGET_ATTITUDE, RELATIVE_POSITION)
 
-    def value(self, *x: Array) -> tuple[Array, Array]:
-        """r_tc_t (3,) and its Jacobian (3, 6)."""
-        return position_in_target(*(np.ascontiguousarray(v) for v in x))
+    def values(self, *x: Array) -> tuple[Array, Array]:
+        """r_tc_t (N, 3) and its Jacobian (N, 3, 6)."""
+        R_ot, r_tc_o = (np.ascontiguousarray(v) for v in x)
+        out, jacobian = np.empty(r_tc_o.shape), np.empty((len(R_ot), 3, 6))
+        positions_in_target(R_ot, r_tc_o, out, jacobian)
+        return out, jacobian
 
 
 @dataclass(frozen=True)
-class TargetRateInChaser:
+class TargetRateInChaser(DerivedQuantity):
     """w_ti_c = R_oc^T R_ot w_ti_t: for a target whose own axes are arbitrary."""
 
     kind: ClassVar[str] = "target_rate_in_chaser"
     block: ClassVar[Block] = Block("target_rate", "w_ti_c", "vector", 3, "rad/s", "c", "deg/s")
     reads: ClassVar[tuple[Block, ...]] = (CHASER_ATTITUDE, TARGET_ATTITUDE, BODY_RATE)
 
-    def value(self, *x: Array) -> tuple[Array, Array]:
-        """w_ti_c (3,) and its Jacobian (3, 9)."""
+    def values(self, *x: Array) -> tuple[Array, Array]:
+        """w_ti_c (N, 3) and its Jacobian (N, 3, 9)."""
         R_oc, R_ot, w_ti_t = x
-        R_ct = R_oc.T @ R_ot
-        w_ti_c = R_ct @ w_ti_t
-        return w_ti_c, np.hstack([so3.skew(w_ti_c), -R_ct @ so3.skew(w_ti_t.copy()), R_ct])
+        R_ct = np.swapaxes(R_oc, 1, 2) @ R_ot
+        w_ti_c = np.einsum("kij,kj->ki", R_ct, w_ti_t)
+        # The rows of -[w x] are those of w x e_i.
+        crossed = [np.cross(w[:, None], np.eye(3)[None]) for w in (w_ti_c, w_ti_t)]
+        return w_ti_c, np.concatenate([-crossed[0], R_ct @ crossed[1], R_ct], axis=2)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from relnav_graph.errors import InputError
-from relnav_graph.models import Derived
+from relnav_graph.models import Derived, DerivedQuantity
 from relnav_graph.state import Block
 from relnav_graph.track import Track, Truth
 
@@ -78,7 +78,12 @@ def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
     block, n = quantity.block, len(x[0])
     value = np.full((n, block.size), np.nan)
     jacobian = np.full((n, block.dim, sum(b.dim for b in quantity.reads)), np.nan)
-    for k in np.flatnonzero(finite(*x)):
+    known = np.flatnonzero(finite(*x))
+    if isinstance(quantity, DerivedQuantity):  # a whole pass at once
+        found, jacobian[known] = quantity.values(*(a[known] for a in x))
+        value[known] = found.reshape(len(known), block.size)
+        return block.unpack(value), jacobian
+    for k in known:
         one, jacobian[k] = quantity.value(*(a[k] for a in x))
         value[k] = one.reshape(-1)
     return block.unpack(value), jacobian
@@ -186,10 +191,10 @@ def nees(e: Array, P: Array) -> tuple[Array, NDArray[np.int64]]:
     return value, rank
 
 
-def chi2_band(n: int, runs: int = 1) -> Band:
-    """95 % band of ANEES for n freedoms and independent runs: chi2(n N) / (n N)."""
-    freedoms = n * runs
-    low, high = chdtri(freedoms, 0.975), chdtri(freedoms, 0.025)  # of the upper tail
+def chi2_band(n: int, runs: int = 1, level: float = 0.95) -> Band:
+    """Band of ANEES for n freedoms and independent runs: chi2(n N) / (n N)."""
+    freedoms, tail = n * runs, (1 - level) / 2
+    low, high = chdtri(freedoms, 1 - tail), chdtri(freedoms, tail)  # of the upper tail
     return float(low) / freedoms, float(high) / freedoms
 
 

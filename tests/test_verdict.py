@@ -112,7 +112,9 @@ def test_a_gyro_noise_declared_too_large_is_named_as_such() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_with_nothing_wrong_nothing_is_named(seed: int) -> None:
-    assert _verdict((), seed, 2, ("batch",))["causes"] == []
+    found = _verdict((), seed, 2, ("batch",))
+    assert found["causes"] == []
+    assert found["text"] == ["batch (smoothed): consistent in all 10 states."]
 
 
 def test_without_a_smoother_the_verdict_says_what_would_tell() -> None:

@@ -1,8 +1,9 @@
 """The verdict of a study in plain words: which estimates tell the truth about themselves,
 and which declared noise is the likely cause where they do not.
 
-An ANEES or NIS outside its 95 % band counts where it also means an error of more than
-`TOLERANCE` in sigma: with enough runs every small nonlinearity leaves the band.
+An ANEES or NIS counts where it lies outside its `LEVEL` band, since many are judged at
+once, and means an error of more than `TOLERANCE` in sigma, since with enough runs every
+small nonlinearity leaves the band.
 """
 
 from __future__ import annotations
@@ -14,26 +15,46 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.components import PRIOR, estimate_factors
+from relnav_graph.deviation import chi2_band
 from relnav_graph.scenario import Scenario
 from relnav_graph.study.collect import Collected, RowRuns
 
 __all__ = ["verdict"]
 
+LEVEL = 0.999
 #: Relative error of sigma that is let pass.
 TOLERANCE = 0.05
 #: A noise is named where its factor is this many sigmas from 1, and this far from it.
 SIGNIFICANT, NOTABLE = 4.0, 1.25
 
 
-def _judge(ratio: float | None, band: list[float] | None) -> dict[str, Any] | None:
-    """How a mean normalised square compares with 1: what it says of sigma."""
-    if ratio is None or band is None:
+def _judge(ratio: float | None, freedoms: int) -> dict[str, Any] | None:
+    """How a mean normalised square, over so many freedoms, compares with 1: what it says
+    of sigma."""
+    if ratio is None or not freedoms:
         return None
-    factor = math.sqrt(max(ratio, 0.0))
+    factor, (low, high) = math.sqrt(max(ratio, 0.0)), chi2_band(freedoms, 1, LEVEL)
     word = "consistent"
-    if not band[0] <= ratio <= band[1] and abs(factor - 1) > TOLERANCE:
+    if not low <= ratio <= high and abs(factor - 1) > TOLERANCE:
         word = "optimistic" if factor > 1 else "pessimistic"
     return {"verdict": word, "factor": factor}
+
+
+def _judge_state(row: RowRuns, name: str, state: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Runs are independent, epochs of one run are not."""
+    runs = int(np.isfinite(row.of(name, "anees")).sum())
+    return _judge(state.get("anees"), row.freedoms[name] * runs)
+
+
+def _judge_sensor(row: RowRuns, name: str, sensor: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Innovations of a consistent filter are white: every row counts."""
+    found = _judge(sensor["nis"], int(np.nansum(row.of_sensor(name, "rows"))))
+    if found is None:
+        return None
+    lag, band = sensor["lag_correlation"], sensor["lag_band"]
+    # 3.3 sigma: the same level as above.
+    coloured = lag is not None and abs(lag) > max(3.3 / 1.96 * band[1], TOLERANCE)
+    return {**found, "coloured": coloured, "lag_correlation": lag}
 
 
 def _owners(scenario: Scenario) -> dict[str, str]:
@@ -120,18 +141,14 @@ def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) ->
     """What the summary and the residuals say, with sentences for people in `text`."""
     states, sensors, text = dict[str, Any](), dict[str, dict[str, Any]](), list[str]()
     for name, row in summary["estimators"].items():
-        judged = {s: _judge(v.get("anees"), v.get("anees_band")) for s, v in row["states"].items()}
+        runs = found.rows[name]
+        judged = {s: _judge_state(runs, s, v) for s, v in row["states"].items()}
         states[name] = {s: v for s, v in judged.items() if v is not None}
         if states[name]:
             text.append(_state_text(name, row, states[name]))
-        sensors[name] = {}
-        for sensor, v in row["sensors"].items():
-            one = _judge(v["nis"], v["nis_band"])
-            if one is not None:
-                lag, band = v["lag_correlation"], v["lag_band"]
-                coloured = lag is not None and abs(lag) > max(band[1], TOLERANCE)
-                sensors[name][sensor] = {**one, "coloured": coloured, "lag_correlation": lag}
-                text.append(_sensor_text(name, sensor, sensors[name][sensor]) or "")
+        heard = {s: _judge_sensor(runs, s, v) for s, v in row["sensors"].items()}
+        sensors[name] = {s: v for s, v in heard.items() if v is not None}
+        text += [_sensor_text(name, s, v) or "" for s, v in sensors[name].items()]
     best = _best_smoothed(found)
     noises = _noises(found.rows[best]) if best else []
     causes = [n for n in noises if n["named"]]
