@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 from pathlib import Path
 from types import ModuleType
+
+import pytest
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
@@ -31,6 +34,25 @@ def test_tumbling_rates_finds_the_graph_consistent() -> None:
     assert set(found) == {"iekf", "isam2", "isam2_smoothed", "batch"}
     assert max(found["batch"]) < 2.5
     assert max(found["isam2"]) < 2.5
+
+
+def test_published_claims_rank_the_integrators(capsys: pytest.CaptureFixture[str]) -> None:
+    found = _script("published_claims").main(runs=2, epochs=40)
+    attitude = [
+        found[name]["ekf"]["states"]["target_attitude"]["rmse_last"]
+        for name in ("one Euler step", "five Euler steps", "Runge-Kutta")
+    ]
+    assert attitude[0] > 2 * attitude[1] > 2 * attitude[2]
+    assert set(found) >= {"xiong2013", "xiong2013_0p1m"}
+    assert "| relative attitude, deg | 0.866 |" in capsys.readouterr().out
+
+
+def test_astrobee_beats_its_authors() -> None:
+    root = os.environ.get("RELNAV_DATA")
+    if root is None:
+        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
+    found = _script("astrobee_authors").main(Path(root) / "astrobee_tumble")
+    assert found["batch"][0] < 0.3 < found["authors, length only"][0]
 
 
 def test_every_script_is_run_here() -> None:

@@ -1,0 +1,90 @@
+"""Odometry between epochs, on a pose that is cloned into the state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from passes import differences, sigmas, stored
+from passes_odometry import ODOMETRY, odometry_scenario
+from scipy.special import chdtri
+
+from relnav_graph.estimators import run_estimator
+from relnav_graph.scenario import Scenario
+from relnav_graph.track import Track
+
+Array = NDArray[np.float64]
+
+
+def run(scenario: Scenario, kind: str, number: int = 0) -> tuple[Track, Array]:
+    """A track and its errors (N, dim)."""
+    recording = scenario.simulate(3, number)
+    assert recording.truth is not None
+    track = run_estimator(kind, scenario.problem(recording, 3, number))
+    return track, differences(track.layout, track.x, stored(track.layout, recording.truth))
+
+
+def poses(track: Track) -> tuple[Array, Array]:
+    """R_tc and r_tc_t at every epoch."""
+    R_to = np.swapaxes(track.value("target_attitude"), 1, 2)
+    r = track.value("relative_position")
+    return R_to @ track.value("chaser_attitude"), np.einsum("nij,nj->ni", R_to, r)
+
+
+def test_clone_is_the_smoothed_pose_of_the_epoch_before() -> None:
+    track, _ = run(odometry_scenario(), "batch")
+    R_tc, r_tc_t = poses(track)
+    np.testing.assert_allclose(track.value("previous_attitude")[1:], R_tc[:-1], atol=1e-6)
+    np.testing.assert_allclose(track.value("previous_position")[1:], r_tc_t[:-1], atol=1e-6)
+
+
+def test_slow_odometry_holds_its_clone_between() -> None:
+    """Odometry every 4 s in a pass of 1 s: the clone is that of its last multiple."""
+    scenario = odometry_scenario(period=4.0)
+    track, _ = run(scenario, "batch")
+    R_tc, _ = poses(track)
+    for k in range(1, 60):
+        np.testing.assert_allclose(
+            track.value("previous_attitude")[k], R_tc[(k - 1) // 4 * 4], atol=1e-5
+        )
+
+
+@pytest.mark.parametrize("period", [None, 4.0])
+@pytest.mark.parametrize("kind", ["iekf", "batch"])
+def test_errors_are_as_large_as_the_covariance_says(kind: str, period: float | None) -> None:
+    """With a star tracker beside it, at other times, and every run of its own."""
+    scenario = odometry_scenario(period=period)
+    total, n = 0.0, 0
+    for number in range(8):
+        track, e = run(scenario, kind, number)
+        own = np.arange(track.layout.tangent("previous_attitude").start)
+        P = track.P[40][np.ix_(own, own)]
+        total += e[40, own] @ np.linalg.solve(P, e[40, own])
+        n += len(own)
+    assert chdtri(n, 0.9995) < total < chdtri(n, 0.0005)
+
+
+def test_odometry_gives_the_rate_of_the_tumble() -> None:
+    """0.6 deg a second, eighty times: the smoothed rate is known to a few hundredths."""
+    track, e = run(odometry_scenario(), "batch")
+    rows = track.layout.tangent("target_rate")
+    assert np.degrees(np.sqrt((e[:, rows] ** 2).sum(axis=1).mean())) < 0.3
+    assert np.degrees(sigmas(track.P)[0, rows]).max() < 0.3
+    # Alone, without what the odometry tells, it would be the prior's.
+    blind: dict[str, Any] = {"stars": ODOMETRY["sensors"]["stars"]}
+    blind["odometry"] = {**ODOMETRY["sensors"]["odometry"], "attitude_sigma": 1e3}
+    blind["odometry"]["position_sigma"] = 1e3
+    other, _ = run(odometry_scenario(sensors=blind), "batch")
+    assert np.degrees(sigmas(other.P)[0, rows]).min() > 0.5
+
+
+def test_attitude_odometry_alone() -> None:
+    """The turn without the displacement: what is known of the rate is nearly the same."""
+    turn = {k: v for k, v in ODOMETRY["sensors"]["odometry"].items() if k == "sensor_attitude"}
+    turn |= {"kind": "attitude_odometry", "sigma": "0.6 deg"}
+    scenario = odometry_scenario(sensors={"odometry": turn, "stars": ODOMETRY["sensors"]["stars"]})
+    track, e = run(scenario, "batch")
+    rows = track.layout.tangent("target_rate")
+    assert np.degrees(np.sqrt((e[:, rows] ** 2).sum(axis=1).mean())) < 0.3
