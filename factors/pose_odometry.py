@@ -17,7 +17,7 @@ from relnav_graph.units import Quantity
 from ._attitude import QUATERNION, attitude_residual, turned, unit_quaternions
 from ._points import Pose, point_in_sensor, pose_blocks
 from .attitude_odometry import turn_between
-from .previous_pose import PREVIOUS_ATTITUDE, PREVIOUS_POSITION
+from .previous_pose import previous_blocks
 
 Array = NDArray[np.float64]
 
@@ -25,34 +25,31 @@ Array = NDArray[np.float64]
 @jit
 def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """R_s-s, where the scene's centre lies in the sensor axes of before (3,), and their
-    Jacobians to (R_tc-, r_tc_t-) and the present pose. p: mounting (12,), centre (3,)."""
-    mounting, nowhere = p[:12], np.zeros(3)
-    before, to_before = point_in_sensor(mounting, nowhere, x[:12])
-    now, to_now = point_in_sensor(mounting, nowhere, x[12:])
+    Jacobians to the poses of before and of now. p: mounting (12,), centre (3,)."""
+    mounting, nowhere, half = p[:12], np.zeros(3), x.shape[0] // 2
+    before, to_before = point_in_sensor(mounting, nowhere, x[:half])
+    now, to_now = point_in_sensor(mounting, nowhere, x[half:])
     n = to_now.shape[1]
-    turn, slopes = turn_between(so3.matrix_at(p, 0), so3.matrix_at(x, 0), x[12 : x.shape[0] - 3])
-    to_turn = np.zeros((3, 6 + n))
+    turn, slopes = turn_between(so3.matrix_at(p, 0), x[: half - 3], x[half:-3])
+    to_turn = np.zeros((3, 2 * n))
     for i in range(3):
-        for j in range(3):
-            to_turn[i, j] = slopes[i, j]
         for j in range(n - 3):
-            to_turn[i, 6 + j] = slopes[i, 3 + j]
+            to_turn[i, j], to_turn[i, n + j] = slopes[i, j], slopes[i, n - 3 + j]
     line = so3.add_vector(so3.vector_at(p, 12), now, -1.0)  # from the target to the centre
     place = so3.add_vector(before, so3.rotate(turn, line), 1.0)
     to_place = so3.multiply(so3.multiply(turn, so3.skew(line)), to_turn)
     turned_now = so3.multiply(turn, to_now)
     for i in range(3):
-        for j in range(6 + n):
-            to_place[i, j] = -to_place[i, j]
-            to_place[i, j] += to_before[i, j] if j < 6 else -turned_now[i, j - 6]
+        for j in range(n):
+            to_place[i, j] = to_before[i, j] - to_place[i, j]
+            to_place[i, n + j] = -turned_now[i, j] - to_place[i, n + j]
     return turn, place, to_turn, to_place
 
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (6,): where the scene's centre was, predicted minus measured, m; then
-    Log(R_measured^T R_s-s), rad. x = (R_tc-, r_tc_t-, R_oc, R_ot, r_tc_o) or
-    (R_tc-, r_tc_t-, R_tc, r_tc_t)."""
+    Log(R_measured^T R_s-s), rad. x: the pose of before, then that of now."""
     turn, place, to_turn, to_place = pose_between(p, x)
     R_measured, angles = so3.from_quaternion(z[3:]), np.empty(3)
     slope = attitude_residual(z[3:], turn, angles)
@@ -77,8 +74,8 @@ class PoseOdometry(SensorModel):
     as if it swung about the scene. scene_centre: that centre in sensor axes, m; zero makes
     the errors of r and of the turn independent. position_sigma: m, of where the centre was,
     attitude_sigma: rad, of the turn, about the present sensor axes; one for all or one each.
-    sensor_attitude: R_cs; sensor_position: r_sc_c, m. pose: how the present pose stands in
-    the state. Raises InputError when R_cs is not a rotation within 1e-6.
+    sensor_attitude: R_cs; sensor_position: r_sc_c, m. pose: how the poses stand in the
+    state. Raises InputError when R_cs is not a rotation within 1e-6.
     """
 
     kind: ClassVar[str] = "pose_odometry"
@@ -103,7 +100,7 @@ class PoseOdometry(SensorModel):
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return PREVIOUS_ATTITUDE, PREVIOUS_POSITION, *pose_blocks(self.pose)
+        return *previous_blocks(self.pose), *pose_blocks(self.pose)
 
     def constants(self) -> Array:
         mounting = self.sensor_attitude.ravel(), self.sensor_position

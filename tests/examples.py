@@ -45,7 +45,7 @@ REGIMES = ("near", "moderate", "large")
 #: Size of a component of a block or input in each regime, SI; 1 for what is not listed.
 SCALES: Mapping[str, tuple[float, float, float]] = {
     "relative_position": (1.0, 100.0, 1000.0),
-    "previous_position": (1.0, 100.0, 1000.0),
+    "previous_relative_position": (1.0, 100.0, 1000.0),
     "relative_velocity": (0.01, 0.5, 5.0),
     "chaser_position": (1e4, 1e5, 1e6),
     "chaser_velocity": (100.0, 20.0, 1000.0),
@@ -191,13 +191,13 @@ def odometry(**options: Any) -> SensorExample:
     model = PoseOdometry(
         position_sigma=np.array([5e-3, 4e-3, 6e-3]), attitude_sigma=np.full(3, 0.01), **options
     )
-    places = {"previous_position": 1.0, "relative_position": 1.0}
+    places = {"previous_relative_position": 1.0, "relative_position": 1.0}
     steps = {b.name: 0.1 for b in model.reads} | places
     return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
 
 
 def copy(**options: Any) -> DynamicsExample:
-    return DynamicsExample(PreviousPose(**options), constant(*[0.0] * 6), flow=False)
+    return DynamicsExample(PreviousPose(**options), constant(*[0.0] * 9), flow=False)
 
 
 def orbit(degree: Any, **options: Any) -> DynamicsExample:

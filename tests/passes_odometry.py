@@ -39,8 +39,9 @@ ODOMETRY: dict[str, Any] = {
         "inertia_matrix_parameters": {"sigma": 0.1},
         "relative_position": {"sigma": 0.05},
         "relative_velocity": {"sigma": 0.01},
-        "previous_attitude": {"sigma": 1e-3},
-        "previous_position": {"sigma": 1e-3},
+        "previous_chaser_attitude": {"sigma": 1e-3},
+        "previous_target_attitude": {"sigma": 1e-3},
+        "previous_relative_position": {"sigma": 1e-3},
     },
     "truth": {
         "kind": "own_models",

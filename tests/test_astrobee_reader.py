@@ -64,7 +64,8 @@ def write_topic(folder: Path, name: str, header: list[str], rows: dict[float, li
         for n, (t, row) in enumerate(rows.items()):
             stamp = round(1e9 * t)
             received = stamp + 7_000_000 if stamped else stamp
-            out.writerow([received, n, stamp if stamped else 0, "world", *(repr(float(v)) for v in row)])
+            numbers = [repr(float(v)) for v in row]
+            out.writerow([received, n, stamp if stamped else 0, "world", *numbers])
 
 
 def write(folder: Path) -> Path:
@@ -211,9 +212,9 @@ def test_the_published_run(capsys: pytest.CaptureFixture[str]) -> None:
     if root is None:
         pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
     data = Path(root) / "astrobee_tumble"
+    arguments = [str(EXPERIMENTS / "astrobee_tumble.toml"), "-e", "batch", "--data", str(data)]
     with pytest.raises(SystemExit) as stop:
-        scenario = str(EXPERIMENTS / "astrobee_tumble.toml")
-        main(["compare", scenario, "-e", "batch", "--data", str(data), "--json"])
+        main(["compare", *arguments, "--json"])
     out, err = capsys.readouterr()
     assert not stop.value.code, err
     row = json.loads(out)["estimators"]["batch"]
