@@ -116,7 +116,10 @@ def test_published_steps_err_as_worked_out() -> None:
         ("proper", "runge_kutta", 1.0),
     ):
         model = EulerRotation(
-            torque_density=1e-6, inertia="full", integrator=integrator, max_step=step
+            torque_density=1e-6,
+            inertia="full",
+            integrator=integrator,  # type: ignore[arg-type]
+            max_step=step,
         )
         got_R, got_w = propagate(model, k, R, HU_RATE, 1.0)
         angle = np.degrees(np.linalg.norm(so3.log(want_R.T @ got_R)))

@@ -80,8 +80,8 @@ def test_pair_moves_as_the_pair_in_the_orbital_frame() -> None:
         target_rate=PAIR.target_rate,
     )
     want = other.simulate(np.array([0.0, 400.0, 900.0]), np.random.default_rng(0)).values
-    distances = [np.linalg.norm(v["relative_position"], axis=1) for v in (values, want)]
-    np.testing.assert_allclose(*distances, atol=1e-6)
+    near, far = (np.linalg.norm(v["relative_position"], axis=1) for v in (values, want))
+    np.testing.assert_allclose(near, far, atol=1e-6)
     np.testing.assert_allclose(values["target_rate"], want["target_rate"], atol=1e-9)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,12 @@ from relnav_graph.track import Track
 Array = NDArray[np.float64]
 
 
+@cache
+def plain(kind: str, number: int = 0, period: float | None = None) -> tuple[Track, Array]:
+    """Of the pass as it stands."""
+    return run(odometry_scenario(period=period), kind, number)
+
+
 def run(scenario: Scenario, kind: str, number: int = 0) -> tuple[Track, Array]:
     """A track and its errors (N, dim)."""
     recording = scenario.simulate(3, number)
@@ -31,7 +38,7 @@ COPIED = ("chaser_attitude", "target_attitude", "relative_position")
 
 @pytest.mark.parametrize("name", COPIED)
 def test_clone_is_the_smoothed_pose_of_the_epoch_before(name: str) -> None:
-    track, _ = run(odometry_scenario(), "batch")
+    track, _ = plain("batch")
     copies, originals = track.value(f"previous_{name}")[1:], track.value(name)[:-1]
     np.testing.assert_allclose(copies, originals, atol=1e-6)
 
@@ -39,7 +46,7 @@ def test_clone_is_the_smoothed_pose_of_the_epoch_before(name: str) -> None:
 @pytest.mark.parametrize("name", COPIED)
 def test_slow_odometry_holds_its_clone_between(name: str) -> None:
     """Odometry every 4 s in a pass of 1 s: the clone is that of its last multiple."""
-    track, _ = run(odometry_scenario(period=4.0), "batch")
+    track, _ = plain("batch", period=4.0)
     for k in range(1, 60):
         copy, original = track.value(f"previous_{name}")[k], track.value(name)[(k - 1) // 4 * 4]
         np.testing.assert_allclose(copy, original, atol=1e-5)
@@ -48,7 +55,7 @@ def test_slow_odometry_holds_its_clone_between(name: str) -> None:
 @pytest.mark.parametrize("kind", ["ekf", "iekf"])
 def test_filter_ends_where_the_graph_does(kind: str) -> None:
     """The clone does not mislead a filter, however often it iterates an update."""
-    (track, _), (batch, _) = run(odometry_scenario(), kind), run(odometry_scenario(), "batch")
+    (track, _), (batch, _) = plain(kind), plain("batch")
     own = slice(0, track.layout.tangent("previous_chaser_attitude").start)
     apart = differences(track.layout, batch.x, track.x)[-1] / sigmas(batch.P)[-1]
     assert np.abs(apart[own]).max() < 1  # 6.5 with a clone in other coordinates
@@ -58,10 +65,9 @@ def test_filter_ends_where_the_graph_does(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["iekf", "batch"])
 def test_errors_are_as_large_as_the_covariance_says(kind: str, period: float | None) -> None:
     """With a star tracker beside it, at other times, and every run of its own."""
-    scenario = odometry_scenario(period=period)
     total, n = 0.0, 0
     for number in range(8):
-        track, e = run(scenario, kind, number)
+        track, e = plain(kind, number, period)
         own = np.arange(track.layout.tangent("previous_chaser_attitude").start)
         P = track.P[40][np.ix_(own, own)]
         total += e[40, own] @ np.linalg.solve(P, e[40, own])
@@ -71,7 +77,7 @@ def test_errors_are_as_large_as_the_covariance_says(kind: str, period: float | N
 
 def test_odometry_gives_the_rate_of_the_tumble() -> None:
     """0.6 deg a second, eighty times: the smoothed rate is known to a few hundredths."""
-    track, e = run(odometry_scenario(), "batch")
+    track, e = plain("batch")
     rows = track.layout.tangent("target_rate")
     assert np.degrees(np.sqrt((e[:, rows] ** 2).sum(axis=1).mean())) < 0.6
     assert np.degrees(sigmas(track.P)[0, rows]).max() < 0.3

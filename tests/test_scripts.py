@@ -37,7 +37,7 @@ def test_tumbling_rates_finds_the_graph_consistent() -> None:
 
 
 def test_published_claims_rank_the_integrators(capsys: pytest.CaptureFixture[str]) -> None:
-    found = _script("published_claims").main(runs=2, epochs=120)
+    found = _script("published_claims").main(runs=2, epochs=100)
     attitude = [
         found[name]["ekf"]["states"]["target_attitude"]["rmse_last"]
         for name in ("one Euler step", "five Euler steps", "Runge-Kutta")
