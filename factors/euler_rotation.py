@@ -3,104 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
+from relnav_graph.errors import InputError
 from relnav_graph.models import DynamicsModel
 from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
-from relnav_graph.state import INERTIA, TARGET_ATTITUDE, TARGET_RATE, Block
+from relnav_graph.state import (
+    BODY_RATE,
+    INERTIA,
+    INERTIA_MATRIX,
+    TARGET_ATTITUDE,
+    TARGET_RATE,
+    Block,
+)
 from relnav_graph.units import Quantity
 
+from ._inertia import coefficients_of, euler_coefficients
+from ._rate_steps import published_step, rate_step
 from ._white_noise import add_integrated_white_noise, duration, step_count
 
 Array = NDArray[np.float64]
 
 
 @jit
-def inertia_ratios(k: Array) -> tuple[Array, Array]:
-    """l = tanh(k_x, k_y, -(k_x + k_y)), (3,), and its Jacobian to (k_x, k_y), (3, 2)."""
-    l, jacobian = np.empty(3), np.zeros((3, 2))
-    l[0], l[1], l[2] = np.tanh(k[0]), np.tanh(k[1]), -np.tanh(k[0] + k[1])
-    jacobian[0, 0] = 1 - l[0] ** 2
-    jacobian[1, 1] = 1 - l[1] ** 2
-    jacobian[2, 0] = jacobian[2, 1] = l[2] ** 2 - 1
-    return l, jacobian
-
-
-@jit
-def euler_acceleration(w: Array, k: Array) -> tuple[Array, Array, Array]:
-    """w' (3,) of a torque-free body, and its Jacobians to w (3, 3) and to k (3, 2)."""
-    l, dl = inertia_ratios(k)
-    out, to_w, to_k = np.empty(3), np.zeros((3, 3)), np.empty((3, 2))
-    for i in range(3):
-        j, m = (i + 1) % 3, (i + 2) % 3
-        out[i] = l[i] * w[j] * w[m]
-        to_w[i, j] = l[i] * w[m]
-        to_w[i, m] = l[i] * w[j]
-        for n in range(2):
-            to_k[i, n] = dl[i, n] * w[j] * w[m]
-    return out, to_w, to_k
-
-
-@jit
-def _chained(to_w: Array, to_k: Array, dw: Array) -> Array:
-    """The Jacobian to (w0, k), (3, 5), of a function of (w, k), with dw that of w."""
-    out = so3.multiply(to_w, dw)
-    for i in range(3):
-        out[i, 3] += to_k[i, 0]
-        out[i, 4] += to_k[i, 1]
-    return out
-
-
-@jit
-def rate_step(w: Array, k: Array, h: float) -> tuple[Array, Array, Array, Array]:
-    """One Runge-Kutta step of the rate: w (3,) and turn (3,) over h seconds, with their
-    Jacobians to (w, k), (3, 5) each, which are exact for the step as computed.
-
-    The turn is Magnus' series to fourth order: the mean rate, with the midpoint from the
-    Hermite polynomial, and the coning term (w0 x w1) h^2 / 12.
-    """
-    start = np.zeros((3, 5))
-    start[0, 0] = start[1, 1] = start[2, 2] = 1.0
-    first, to_w, to_k = euler_acceleration(w, k)
-    dfirst = _chained(to_w, to_k, start)
-    w1, dw1 = so3.add_vector(w, first, h / 6), so3.add(start, dfirst, h / 6)
-    a, da = first, dfirst
-    for stage in range(1, 4):
-        ahead = h if stage == 3 else 0.5 * h
-        rate, drate = so3.add_vector(w, a, ahead), so3.add(start, da, ahead)
-        a, to_w, to_k = euler_acceleration(rate, k)
-        da = _chained(to_w, to_k, drate)
-        weight = h / 6 if stage == 3 else h / 3
-        w1, dw1 = so3.add_vector(w1, a, weight), so3.add(dw1, da, weight)
-    last, to_w, to_k = euler_acceleration(w1, k)
-    dlast = _chained(to_w, to_k, dw1)
-    coning = so3.cross(w, w1)
-    dconing = so3.add(so3.multiply(so3.skew(w), dw1), so3.multiply(so3.skew(w1), start), -1.0)
-    turn, dturn = np.empty(3), np.empty((3, 5))
-    for i in range(3):
-        turn[i] = h / 2 * (w[i] + w1[i]) + h * h / 12 * (first[i] - last[i] + coning[i])
-        for j in range(5):
-            bent = dfirst[i, j] - dlast[i, j] + dconing[i, j]
-            dturn[i, j] = h / 2 * (start[i, j] + dw1[i, j]) + h * h / 12 * bent
-    return w1, turn, dw1, dturn
-
-
-@jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds."""
+    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds; p[7] != 0: Euler's; p[8:26]:
+    A of a known inertia, where there is no k."""
     length = duration(u)
     steps = step_count(length, p[6])
     h = length / steps
-    R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), np.empty(2)
-    k[0], k[1] = x[12], x[13]
-    total, noise, step = so3.identity(8), np.zeros((8, 8)), so3.identity(8)
+    n = x.shape[0] - 6  # of the tangent
+    R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), x[12:]
+    if k.shape[0] == 0:
+        A, dA = p[8:26].reshape(3, 6), np.zeros((0, 3, 6))
+    else:
+        A, dA = euler_coefficients(k)
+    total, noise, step = so3.identity(n), np.zeros((n, n)), so3.identity(n)
     for _ in range(steps):
-        w, turn, dw, dturn = rate_step(w, k, h)
+        if p[7] != 0.0:
+            w, turn, dw, dturn = published_step(w, A, dA, h)
+        else:
+            w, turn, dw, dturn = rate_step(w, A, dA, h)
         ahead = so3.exp(turn)
         R_ot = so3.multiply(R_ot, ahead)
         for i in range(3):
@@ -111,7 +59,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         total = so3.multiply(step, total)
         noise = so3.propagate_covariance(step, noise)
         add_integrated_white_noise(noise, 0, p[4] ** 2, h)
-        for i in range(6, 8):
+        for i in range(6, n):
             noise[i, i] += p[5] ** 2 * h
     R_ot = so3.multiply(frame_rotation(p, t, t + length), R_ot)
     so3.put_matrix(x_next, 0, so3.project(R_ot))
@@ -124,56 +72,72 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
 @dataclass(frozen=True, kw_only=True)
 class EulerRotation(DynamicsModel):
-    """Attitude, rate and principal inertia of a free rigid target.
+    """Attitude, rate and inertia of a free rigid target.
 
-    R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot; w_x' = l_x w_y w_z + white, cyclic
-    (Zhang et al. 2015, section 3; Euler's equations). The ratios l = tanh(k) stand in
-    the state as k: see `relnav_graph.state.INERTIA`. The target's axes are its principal
-    axes; torques are white.
+    R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot; J w' = -w x J w + white (Zhang et al. 2015,
+    section 3; Hu et al. 2019, eq. 4). inertia = "principal": the target's axes are its
+    principal axes, and the ratios l = tanh(k) stand in the state as k
+    (`relnav_graph.state.INERTIA`). inertia = "full": any axes, `state.INERTIA_MATRIX`.
+    inertia = "known": known_inertia, J about the axes of t up to its scale, kg m^2.
 
     torque_density: rad/s^1.5, angular acceleration per axis; inertia_density: 1/sqrt(s),
-    a small random walk that keeps the covariance regular; max_step: s, the longest
-    Runge-Kutta step; orbit: the target's, None where o does not rotate.
+    a small random walk that keeps the covariance regular; max_step: s, the longest step;
+    orbit: the target's, None where o does not rotate; integrator: "euler" is Hu's.
+    rate: "body_rate" where the axes of t are arbitrary, so that tables show the rate in
+    chaser axes instead (`factors.relative_pose.TargetRateInChaser`).
+
+    Raises InputError on a known inertia that no body has, that is missing, or unused.
     """
 
     kind: ClassVar[str] = "euler_rotation"
-    noises: ClassVar[tuple[str, ...]] = ("torque_density", "torque_density", "inertia_density")
     kernel = staticmethod(kernel)
 
     torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
     inertia_density: Annotated[float, Quantity("1/sqrt(s)", positive=True)] = 1e-8
     max_step: Annotated[float, Quantity("s", positive=True)] = 1.0
     orbit: KeplerOrbit | None = None
+    inertia: Literal["principal", "full", "known"] = "principal"
+    known_inertia: Annotated[Array, Quantity("kg*m^2", (3, 3))] | None = None
+    integrator: Literal["runge_kutta", "euler"] = "runge_kutta"
+    rate: Literal["target_rate", "body_rate"] = "target_rate"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        J = self.known_inertia
+        if (J is not None) != (self.inertia == "known"):
+            raise InputError(f"{self.kind}: known_inertia goes with inertia = 'known', and only so")
+        if J is not None:
+            moments = np.linalg.eigvalsh(0.5 * np.trace(J) * np.eye(3) - J)
+            if not moments.min() > 0 or np.abs(J - J.T).max() > 1e-9 * np.abs(J).max():
+                raise InputError(f"{self.kind}.known_inertia: found {J.tolist()}: no body has it")
+
+    @property
+    def noises(self) -> tuple[str, ...]:  # type: ignore[override]
+        names = "torque_density", "torque_density", "inertia_density"
+        return names[: len(self.advances)]
 
     @property
     def advances(self) -> tuple[Block, ...]:
-        return TARGET_ATTITUDE, TARGET_RATE, INERTIA
+        rate = TARGET_RATE if self.rate == "target_rate" else BODY_RATE
+        inertia = {"principal": (INERTIA,), "full": (INERTIA_MATRIX,), "known": ()}
+        return TARGET_ATTITUDE, rate, *inertia[self.inertia]
 
     def constants(self) -> Array:
         own = [self.torque_density, self.inertia_density, self.max_step]
-        return np.concatenate([orbit_array(self.orbit), own])
+        own.append(float(self.integrator == "euler"))
+        known = np.zeros(0) if self.known_inertia is None else coefficients_of(self.known_inertia)
+        return np.concatenate([orbit_array(self.orbit), own, known.ravel()])
 
     def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
         """What a steady spin hides: the phase, and the inertia ratios."""
-        w, none, no_ratio = x[1][:, None], np.zeros((3, 1)), np.zeros((2, 1))
+        w, none = x[1][:, None], np.zeros((3, 1))
         spin = w / max(float(np.linalg.norm(w)), 1e-12)
-        first, second = np.eye(2)[:, :1], np.eye(2)[:, 1:]
-        return {
-            "rotation of the target about its spin axis": (spin, none, no_ratio),
-            "rate of the target along its spin axis": (none, spin, no_ratio),
-            "inertia ratio k1": (none, none, first),
-            "inertia ratio k2": (none, none, second),
+        ratios = np.eye(sum(b.dim for b in self.advances[2:]))
+        rest = (0 * ratios[:, :1],) if len(ratios) else ()
+        found = {
+            "rotation of the target about its spin axis": (spin, none, *rest),
+            "rate of the target along its spin axis": (none, spin, *rest),
         }
-
-
-@dataclass(frozen=True)
-class InertiaRatios:
-    """(J_y - J_z) / J_x and cyclic, of the target's principal moments."""
-
-    kind: ClassVar[str] = "inertia_ratios"
-    block: ClassVar[Block] = Block("inertia_ratios", "l_t", "vector", 3, "1", "t", "1")
-    reads: ClassVar[tuple[Block, ...]] = (INERTIA,)
-
-    def value(self, *x: Array) -> tuple[Array, Array]:
-        """l (3,) and its Jacobian (3, 2)."""
-        return inertia_ratios(np.ascontiguousarray(x[0]))
+        for n, ratio in enumerate(ratios, 1):
+            found[f"inertia ratio k{n}"] = (none, none, ratio[:, None])
+        return found

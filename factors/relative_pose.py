@@ -8,8 +8,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph import so3
+from relnav_graph.compiled import jit
 from relnav_graph.models import DerivedQuantity
 from relnav_graph.state import (
+    BODY_RATE,
     CHASER_ATTITUDE,
     RELATIVE_ATTITUDE,
     RELATIVE_POSITION,
@@ -20,8 +23,44 @@ from relnav_graph.state import (
 Array = NDArray[np.float64]
 
 
-def _transposed(R: Array) -> Array:
-    return np.swapaxes(R, 1, 2)
+@jit
+def relative_attitude(R_oc: Array, R_ot: Array) -> tuple[Array, Array]:
+    """R_tc = R_ot^T R_oc and its Jacobian (3, 6) to (R_oc, R_ot)."""
+    R_tc, jacobian = so3.transpose_multiply(R_ot, R_oc), np.zeros((3, 6))
+    for i in range(3):
+        jacobian[i, i] = 1.0
+        for j in range(3):
+            jacobian[i, 3 + j] = -R_tc[j, i]
+    return R_tc, jacobian
+
+
+@jit
+def position_in_target(R_ot: Array, r_tc_o: Array) -> tuple[Array, Array]:
+    """r_tc_t = R_ot^T r_tc_o and its Jacobian (3, 6) to (R_ot, r_tc_o)."""
+    r_tc_t, jacobian = so3.unrotate(R_ot, r_tc_o), np.empty((3, 6))
+    so3.put(jacobian, 0, 0, so3.skew(r_tc_t), 1.0)
+    for i in range(3):
+        for j in range(3):
+            jacobian[i, 3 + j] = R_ot[j, i]
+    return r_tc_t, jacobian
+
+
+@jit
+def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -> None:
+    """`relative_attitude` at N epochs, into the last two arguments."""
+    for k in range(R_oc.shape[0]):
+        one, slope = relative_attitude(R_oc[k], R_ot[k])
+        so3.put(R_tc[k], 0, 0, one, 1.0)
+        so3.put(jacobian[k], 0, 0, slope, 1.0)
+
+
+@jit
+def positions_in_target(R_ot: Array, r_tc_o: Array, r_tc_t: Array, jacobian: Array) -> None:
+    """`position_in_target` at N epochs, into the last two arguments."""
+    for k in range(R_ot.shape[0]):
+        one, slope = position_in_target(R_ot[k], r_tc_o[k])
+        so3.put_vector(r_tc_t[k], 0, one)
+        so3.put(jacobian[k], 0, 0, slope, 1.0)
 
 
 @dataclass(frozen=True)
@@ -34,10 +73,10 @@ class RelativeAttitude(DerivedQuantity):
 
     def values(self, *x: Array) -> tuple[Array, Array]:
         """R_tc (N, 3, 3) and its Jacobian (N, 3, 6)."""
-        R_oc, R_ot = x
-        R_tc = _transposed(R_ot) @ R_oc
-        unit = np.broadcast_to(np.eye(3), R_tc.shape)
-        return R_tc, np.concatenate([unit, -_transposed(R_tc)], axis=2)
+        R_oc, R_ot = (np.ascontiguousarray(v) for v in x)
+        out, jacobian = np.empty(R_oc.shape), np.empty((len(R_oc), 3, 6))
+        relative_attitudes(R_oc, R_ot, out, jacobian)
+        return out, jacobian
 
 
 @dataclass(frozen=True)
@@ -50,8 +89,25 @@ class PositionInTarget(DerivedQuantity):
 
     def values(self, *x: Array) -> tuple[Array, Array]:
         """r_tc_t (N, 3) and its Jacobian (N, 3, 6)."""
-        R_ot, r_tc_o = x
-        R_to = _transposed(R_ot)
-        r_tc_t = np.einsum("kij,kj->ki", R_to, r_tc_o)
-        turning = np.cross(r_tc_t[:, None], np.eye(3)[None])  # its rows: those of -[r x]
-        return r_tc_t, np.concatenate([_transposed(turning), R_to], axis=2)
+        R_ot, r_tc_o = (np.ascontiguousarray(v) for v in x)
+        out, jacobian = np.empty(r_tc_o.shape), np.empty((len(R_ot), 3, 6))
+        positions_in_target(R_ot, r_tc_o, out, jacobian)
+        return out, jacobian
+
+
+@dataclass(frozen=True)
+class TargetRateInChaser(DerivedQuantity):
+    """w_ti_c = R_oc^T R_ot w_ti_t: for a target whose own axes are arbitrary."""
+
+    kind: ClassVar[str] = "target_rate_in_chaser"
+    block: ClassVar[Block] = Block("target_rate", "w_ti_c", "vector", 3, "rad/s", "c", "deg/s")
+    reads: ClassVar[tuple[Block, ...]] = (CHASER_ATTITUDE, TARGET_ATTITUDE, BODY_RATE)
+
+    def values(self, *x: Array) -> tuple[Array, Array]:
+        """w_ti_c (N, 3) and its Jacobian (N, 3, 9)."""
+        R_oc, R_ot, w_ti_t = x
+        R_ct = np.swapaxes(R_oc, 1, 2) @ R_ot
+        w_ti_c = np.einsum("kij,kj->ki", R_ct, w_ti_t)
+        # The rows of -[w x] are those of w x e_i.
+        crossed = [np.cross(w[:, None], np.eye(3)[None]) for w in (w_ti_c, w_ti_t)]
+        return w_ti_c, np.concatenate([-crossed[0], R_ct @ crossed[1], R_ct], axis=2)

@@ -305,9 +305,24 @@ RELATIVE_POSITION = Block("relative_position", "r_tc_o", "vector", 3, "m", "o", 
 RELATIVE_VELOCITY = Block("relative_velocity", "v_tc_o", "vector", 3, "m/s", "o", "m/s")
 RELATIVE_POSITION_T = Block("relative_position", "r_tc_t", "vector", 3, "m", "t", "m")
 RELATIVE_VELOCITY_T = Block("relative_velocity", "v_tc_t", "vector", 3, "m/s", "t", "m/s")
+# Of the chaser's own orbit: always inertial, from the Earth's centre.
+CHASER_POSITION = Block("chaser_position", "r_c_i", "vector", 3, "m", "i", "m")
+CHASER_VELOCITY = Block("chaser_velocity", "v_c_i", "vector", 3, "m/s", "i", "m/s")
 TARGET_RATE = Block("target_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
+#: The same under another name, for a target whose axes are arbitrary.
+BODY_RATE = Block("body_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
 GYRO_BIAS = Block("gyro_bias", "b_c", "vector", 3, "rad/s", "c", "deg/h")
 #: artanh of the first two ratios l_x = (J_y - J_z) / J_x, l_y = (J_z - J_x) / J_y of the
 #: principal inertia. With k_z = -(k_x + k_y), l = tanh(k): l_x + l_y + l_z + l_x l_y l_z
 #: = 0 holds by the addition theorem, and every value belongs to a body of positive mass.
 INERTIA = Block("inertia_parameters", "k_t", "vector", 2, "1", "t", "1")
+#: Of a body of any axes: J = tr(D) I - D with D = exp(S), S = sum k_a TRACELESS[a], up to a
+#: scale. D is the second moment of the mass; every k belongs to a body, and a prior that is
+#: the same for all k favours no axes.
+INERTIA_MATRIX = Block("inertia_matrix_parameters", "S_t", "vector", 5, "1", "t", "1")
+TRACELESS = np.zeros((5, 3, 3))
+TRACELESS[0] = np.diag([1.0, -1.0, 0.0])
+TRACELESS[1] = np.diag([1.0, 1.0, -2.0]) / np.sqrt(3.0)
+for _a, (_i, _j) in enumerate(((0, 1), (0, 2), (1, 2)), 2):
+    TRACELESS[_a, _i, _j] = TRACELESS[_a, _j, _i] = 1.0
+TRACELESS.flags.writeable = False

@@ -14,12 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.attitude_odometry import AttitudeOdometry
 from factors.beacon_los import BeaconLineOfSight
 from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
-from factors.euler_rotation import EulerRotation, InertiaRatios
+from factors.euler_rotation import EulerRotation
+from factors.gps_position import GpsPosition
 from factors.gyro_bias import GyroBias
-from factors.relative_pose import PositionInTarget, RelativeAttitude
+from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
+from factors.orbit_two_body import OrbitTwoBody
+from factors.pose_odometry import PoseOdometry
+from factors.previous_pose import PreviousPose
+from factors.relative_attitude import VisionAttitude
+from factors.relative_pose import PositionInTarget, RelativeAttitude, TargetRateInChaser
+from factors.relative_two_body import RelativeTwoBody
+from factors.star_tracker import StarTracker
 from factors.stereo_point import StereoPoint, StereoPointCartesian
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph import so3
@@ -36,13 +45,23 @@ REGIMES = ("near", "moderate", "large")
 #: Size of a component of a block or input in each regime, SI; 1 for what is not listed.
 SCALES: Mapping[str, tuple[float, float, float]] = {
     "relative_position": (1.0, 100.0, 1000.0),
+    "previous_relative_position": (1.0, 100.0, 1000.0),
     "relative_velocity": (0.01, 0.5, 5.0),
+    "chaser_position": (1e4, 1e5, 1e6),
+    "chaser_velocity": (100.0, 20.0, 1000.0),
     "target_rate": (1e-4, 0.05, 0.5),
     "gyro_bias": (1e-7, 1e-5, 1e-2),
+    "body_rate": (1e-4, 0.05, 0.15),  # Euler's steps diverge at more
     "inertia_parameters": (0.01, 0.4, 1.0),
+    "inertia_matrix_parameters": (0.01, 0.2, 0.5),
     "gyro": (1e-4, 0.05, 0.5),
     "velocity": (0.01, 0.5, 5.0),
 }
+
+
+#: About which the components are drawn, where that is not zero: an orbit is no orbit at
+#: the centre of the Earth.
+PLACES: Mapping[str, Array] = {"chaser_position": np.array([3.1e6, -4.9e6, 4.2e6])}
 
 
 def scale_of(name: str, regime: str) -> float:
@@ -55,7 +74,8 @@ def draw_block(block: Block, rng: np.random.Generator, regime: str) -> Array:
         if regime == "near":
             return np.eye(3) if rng.random() < 0.1 else so3.exp(1e-3 * rng.normal(size=3))
         return so3.exp((1.0 if regime == "moderate" else 3.0) * rng.normal(size=3))
-    return scale_of(block.name, regime) * rng.normal(size=block.dim)
+    spread = scale_of(block.name, regime) * rng.normal(size=block.dim)
+    return np.asarray(PLACES.get(block.name, 0.0) + spread)
 
 
 def draw_blocks(blocks: Iterable[Block]) -> Draw:
@@ -76,12 +96,14 @@ class SensorExample:
 @dataclass(frozen=True)
 class DynamicsExample:
     """diffusion: of the advanced blocks' white noise, unit^2/s, (n, n) at given values;
-    channels: of each input; companions: processes that advance the blocks that are read."""
+    channels: of each input; companions: processes that advance the blocks that are read;
+    flow: False for a process that is no flow in time, such as a copy."""
 
     model: Any
     diffusion: Callable[..., Array]
     channels: Mapping[str, int] = field(default_factory=dict)
     companions: tuple[Any, ...] = ()
+    flow: bool = True
 
 
 @dataclass(frozen=True)
@@ -100,6 +122,7 @@ MOUNTED: dict[str, Any] = {
     "sensor_attitude": so3.exp(np.array([0.3, -1.1, 0.7])),
     "sensor_position": np.array([0.4, -0.2, 0.1]),
 }
+HU_INERTIA = np.array([[1000.0, 60, 40], [60, 800, 30], [40, 30, 600]])
 LOW = KeplerOrbit(7.2e6, 0.05, 0.3)
 HYPERBOLA = KeplerOrbit(-2.0e7, 1.4, -1.0)
 
@@ -155,6 +178,40 @@ def gyro(angle: Any, bias: Any, **options: Any) -> DynamicsExample:
     return DynamicsExample(model, constant(*squares), {"gyro": 3})
 
 
+def attitude_sensor(model: Any, **step: float) -> SensorExample:
+    steps = {b.name: 0.1 for b in model.reads} | step
+    return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
+
+
+def position_sensor(model: Any) -> SensorExample:
+    return SensorExample(model, draw_blocks(model.reads), step={"chaser_position": 30.0})
+
+
+def odometry(**options: Any) -> SensorExample:
+    model = PoseOdometry(
+        position_sigma=np.array([5e-3, 4e-3, 6e-3]), attitude_sigma=np.full(3, 0.01), **options
+    )
+    places = {"previous_relative_position": 1.0, "relative_position": 1.0}
+    steps = {b.name: 0.1 for b in model.reads} | places
+    return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
+
+
+def copy(**options: Any) -> DynamicsExample:
+    return DynamicsExample(PreviousPose(**options), constant(*[0.0] * 9), flow=False)
+
+
+def orbit(degree: Any, **options: Any) -> DynamicsExample:
+    walk = options.get("position_density", 0.0) ** 2
+    model = OrbitTwoBody(acceleration_density=0.01, degree=degree, **options)
+    return DynamicsExample(model, constant(*[walk] * 3, 1e-4, 1e-4, 1e-4))
+
+
+def relative_two_body(degree: Any, **options: Any) -> DynamicsExample:
+    model = RelativeTwoBody(acceleration_density=1e-3, degree=degree, **options)
+    companion = OrbitTwoBody(acceleration_density=0.01, degree=degree)
+    return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6), {}, (companion,))
+
+
 def relative_motion(**options: Any) -> DynamicsExample:
     model = EccentricRelativeMotion(acceleration_density=1e-6, **options)
     return DynamicsExample(model, constant(0, 0, 0, 1e-12, 1e-12, 1e-12))
@@ -162,7 +219,8 @@ def relative_motion(**options: Any) -> DynamicsExample:
 
 def rotation(**options: Any) -> DynamicsExample:
     model = EulerRotation(torque_density=1e-5, inertia_density=1e-4, **options)
-    return DynamicsExample(model, constant(0, 0, 0, 1e-10, 1e-10, 1e-10, 1e-8, 1e-8))
+    ratios = sum(b.dim for b in model.advances[2:])
+    return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios))
 
 
 def constant_velocity(**options: Any) -> DynamicsExample:
@@ -171,12 +229,43 @@ def constant_velocity(**options: Any) -> DynamicsExample:
 
 
 EXAMPLES: Mapping[str, tuple[Example, ...]] = {
+    "attitude_odometry": (
+        attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01))),
+        attitude_sensor(
+            AttitudeOdometry(
+                sigma=np.array([0.01, 0.02, 0.03]),
+                pose="target",
+                sensor_attitude=MOUNTED["sensor_attitude"],
+            )
+        ),
+    ),
     "beacon_los": (
         point_sensor(BeaconLineOfSight(points=BEACONS, sigma=1e-3), anywhere=True),
         point_sensor(BeaconLineOfSight(points=BEACONS, sigma=1e-5, **MOUNTED), anywhere=True),
         point_sensor(
             BeaconLineOfSight(points=BEACONS, sigma=1e-3, pose="target", **MOUNTED), anywhere=True
         ),
+    ),
+    "gps_position": (
+        position_sensor(GpsPosition(sigma=np.full(3, 10.0))),
+        position_sensor(
+            GpsPosition(
+                sigma=np.array([3.0, 4.0, 5.0]), antenna_position=np.array([0.4, -1.2, 2.0])
+            )
+        ),
+    ),
+    "star_tracker": (
+        attitude_sensor(StarTracker(sigma=np.full(3, 2e-3))),
+        attitude_sensor(
+            StarTracker(
+                sigma=np.array([1e-4, 1e-4, 1e-3]), sensor_attitude=MOUNTED["sensor_attitude"]
+            )
+        ),
+    ),
+    "pose_odometry": (
+        odometry(scene_centre=np.array([2.0, 0.1, -0.3])),
+        odometry(pose="target", scene_centre=np.array([2.0, 0.1, -0.3]), **MOUNTED),
+        odometry(**MOUNTED),
     ),
     "stereo_point": (
         point_sensor(stereo()),
@@ -203,17 +292,41 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "euler_rotation": (
         rotation(orbit=LOW),
         rotation(max_step=0.5),
+        rotation(inertia="full", orbit=LOW),
+        rotation(inertia="known", known_inertia=HU_INERTIA),
+        rotation(inertia="full", integrator="euler", max_step=0.2, rate="body_rate"),
     ),
     "gyro_bias": (
         gyro(1e-4, 1e-6, orbit=LOW),
         gyro([1e-4, 3e-4, 2e-4], [1e-4, 2e-4, 3e-4]),
         gyro(1e-4, 1e-4, attitude="relative_attitude"),
     ),
+    "orbit_two_body": (
+        orbit(0, position_density=0.1),
+        orbit(4),
+        orbit(2, max_step=2.5),
+    ),
+    "previous_pose": (
+        copy(),
+        copy(pose="target", attitude_sigma=1e-3, position_sigma=1e-3),
+        copy(period=7.0),
+    ),
+    "relative_two_body": (
+        relative_two_body(0),
+        relative_two_body(3, max_step=5.0),
+    ),
+    "vision_attitude": tuple(
+        attitude_sensor(VisionAttitude(sigma=np.full(3, 8e-3), seen_from=where, **turned))
+        for where in ("orbital", "target", "fixed")
+        for turned in ({}, {"sensor_attitude": MOUNTED["sensor_attitude"]})
+    ),
     "white_noise_acceleration": (
         constant_velocity(),
         constant_velocity(pose="target"),
     ),
+    "inertia_matrix_ratios": (DerivedExample(InertiaMatrixRatios()),),
     "inertia_ratios": (DerivedExample(InertiaRatios()),),
     "position_in_target": (DerivedExample(PositionInTarget()),),
     "relative_attitude": (DerivedExample(RelativeAttitude()),),
+    "target_rate_in_chaser": (DerivedExample(TargetRateInChaser()),),
 }

@@ -25,6 +25,10 @@ from relnav_graph.state import Layout
 Array = NDArray[np.float64]
 
 
+#: A copy of another epoch is no flow: its intervals do not compose.
+FLOWS = [name for name, example in DYNAMICS.items() if example.flow]
+
+
 @dataclasses.dataclass(frozen=True)
 class Interval:
     """An interval from t with inputs u, at the state x of all blocks."""
@@ -158,7 +162,7 @@ def halves(u: Array) -> tuple[Array, Array]:
     return half, half
 
 
-@pytest.mark.parametrize("name", DYNAMICS)
+@pytest.mark.parametrize("name", FLOWS)
 def test_two_half_intervals_compose_to_the_whole(name: str) -> None:
     """Chapman and Kolmogorov: x, F = F2 F1 and Q = F2 Q1 F2^T + Q2 of 40 s."""
     chain, rng = Chain(name), seed_of(name, "compose")
@@ -209,7 +213,7 @@ def integrated_noise(name: str, i: Interval, count: int) -> Array:
     return out
 
 
-@pytest.mark.parametrize("name", DYNAMICS)
+@pytest.mark.parametrize("name", FLOWS)
 def test_noise_is_the_integral_of_the_diffusion(name: str) -> None:
     """Within a step of their own, models may neglect how the state turns: in short steps
     they must have the integral, in their usual ones a good share of it."""
@@ -224,7 +228,7 @@ def test_noise_is_the_integral_of_the_diffusion(name: str) -> None:
         assert_same_covariance(transition(model, i.t, i.u, i.x)[2], want, 0.05)
 
 
-@pytest.mark.parametrize("name", DYNAMICS)
+@pytest.mark.parametrize("name", FLOWS)
 def test_noise_of_one_long_step_is_the_integral_where_little_turns(name: str) -> None:
     """Where every power of the step counts."""
     model, rng = DYNAMICS[name].model, seed_of(name, "long step")
@@ -236,7 +240,7 @@ def test_noise_of_one_long_step_is_the_integral_where_little_turns(name: str) ->
         assert_same_covariance(transition(model, i.t, i.u, i.x)[2], want, 0.01)
 
 
-@pytest.mark.parametrize("name", DYNAMICS)
+@pytest.mark.parametrize("name", FLOWS)
 def test_noise_goes_with_the_square_of_the_densities_and_nothing_else_does(name: str) -> None:
     model = DYNAMICS[name].model
     densities = [f.name for f in dataclasses.fields(model) if f.name.endswith("_density")]
@@ -250,7 +254,7 @@ def test_noise_goes_with_the_square_of_the_densities_and_nothing_else_does(name:
         assert_same_covariance(Q_quiet, 1e-12 * Q, 1e-12)
 
 
-@pytest.mark.parametrize("name", DYNAMICS)
+@pytest.mark.parametrize("name", FLOWS)
 def test_nothing_happens_in_no_time(name: str) -> None:
     model, i = DYNAMICS[name].model, intervals(name, "moderate")[0]
     u = i.u[:1].copy()

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 import factors
 import relnav_graph
 from factors.beacon_los import BeaconLineOfSight
-from factors.euler_rotation import EulerRotation, InertiaRatios
+from factors.euler_rotation import EulerRotation
+from factors.inertia_ratios import InertiaRatios
 from factors.relative_pose import PositionInTarget, RelativeAttitude
 from factors.stereo_point import StereoPointCartesian
 from factors.white_noise_acceleration import WhiteNoiseAcceleration

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 from pathlib import Path
 from types import ModuleType
+
+import pytest
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
@@ -43,6 +46,25 @@ def test_benchmark_compares_everything(tmp_path: Path) -> None:
     assert found["isam2"]["sigma_from_batch"] < 0.1
     assert figure.stat().st_size > 1000
     json.dumps(found, allow_nan=False)
+
+
+def test_published_claims_rank_the_integrators(capsys: pytest.CaptureFixture[str]) -> None:
+    found = _script("published_claims").main(runs=2, epochs=100)
+    attitude = [
+        found[name]["ekf"]["states"]["target_attitude"]["rmse_last"]
+        for name in ("one Euler step", "five Euler steps", "Runge-Kutta")
+    ]
+    assert attitude[0] > 1.2 * attitude[1] > 1.2 * attitude[2]
+    assert set(found) >= {"xiong2013", "xiong2013_0p1m"}
+    assert "| relative attitude, deg | 0.866 |" in capsys.readouterr().out
+
+
+def test_astrobee_beats_its_authors() -> None:
+    root = os.environ.get("RELNAV_DATA")
+    if root is None:
+        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
+    found = _script("astrobee_authors").main(Path(root) / "astrobee_tumble")
+    assert found["batch"][0] < 0.3 < found["authors, length only"][0]
 
 
 def test_every_script_is_run_here() -> None:

@@ -19,7 +19,7 @@ from relnav_graph.sim.integrate import STATE_SIZE, integrate
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
-__all__ = ["RigidBodyPair"]
+__all__ = ["RigidBodyPair", "checked_times"]
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class RigidBodyPair:
         w_ci_c (N, 3), inertia_parameters (N, 2). Noise is constant over each integration
         step with variance density^2 / step. Raises InputError on times out of order.
         """
-        t = _checked_times(times)
+        t = checked_times(times)
         spans = np.diff(t, prepend=0.0)
         # The margin keeps a span of 10 s, rounded up, from taking one step more.
         counts = np.ceil(spans / self.max_step * (1 - 1e-12)).astype(np.int64)
@@ -101,7 +101,7 @@ class RigidBodyPair:
         disturbance /= np.sqrt(np.repeat(h, counts))[:, None]
         y = np.empty((len(t), STATE_SIZE))
         p = np.array([self.mu, *self.target_inertia])
-        integrate(p, self._initial_state(), counts, h, disturbance, y)
+        integrate(p, self.initial_state(), counts, h, disturbance, y)
         return Truth(
             t=t,
             values=self._values(t, y),
@@ -131,7 +131,7 @@ class RigidBodyPair:
         plane = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
         return np.asarray(plane @ so3.exp(latitude * z))
 
-    def _initial_state(self) -> Array:
+    def initial_state(self) -> Array:
         """The state y (19,) at t = 0; see `relnav_graph.sim.integrate`."""
         e, nu = self.eccentricity, self.true_anomaly
         parameter = self.semi_major_axis * (1 - e * e)
@@ -182,7 +182,9 @@ class RigidBodyPair:
         }
 
 
-def _checked_times(times: Array) -> Array:
+def checked_times(times: Array) -> Array:
+    """Times (N,), s, as an array. Raises InputError unless they are finite and increase
+    from no earlier than t = 0."""
     t = np.array(times, dtype=np.float64)
     if t.ndim != 1 or not len(t) or not np.isfinite(t).all():
         raise InputError(f"times: found shape {t.shape}, expected one or more finite times (N,)")

@@ -1,0 +1,137 @@
+"""Inertia up to its scale: from what stands in the state to what Euler's equations need."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.state import TRACELESS
+
+Array = NDArray[np.float64]
+
+
+@jit
+def principal_ratios(k: Array) -> tuple[Array, Array]:
+    """l = tanh(k_x, k_y, -(k_x + k_y)), (3,), and its Jacobian to (k_x, k_y), (3, 2)."""
+    l, jacobian = np.empty(3), np.zeros((3, 2))
+    l[0], l[1], l[2] = np.tanh(k[0]), np.tanh(k[1]), -np.tanh(k[0] + k[1])
+    jacobian[0, 0] = 1 - l[0] ** 2
+    jacobian[1, 1] = 1 - l[1] ** 2
+    jacobian[2, 0] = jacobian[2, 1] = l[2] ** 2 - 1
+    return l, jacobian
+
+
+@jit
+def _exponential(S: Array) -> tuple[Array, Array]:
+    """exp(S) of a symmetric (3, 3) matrix and its derivatives along `TRACELESS`, (5, 3, 3):
+    Taylor's series of S / 2^m, differentiated term by term, then squared m times."""
+    size = 0.0
+    for i in range(3):
+        for j in range(3):
+            size += S[i, j] ** 2
+    squarings = 0
+    while size > 0.25:
+        size, squarings = size / 4, squarings + 1
+    scale = 0.5**squarings
+    small = so3.add(np.zeros((3, 3)), S, scale)
+    out, term = so3.identity(3), so3.identity(3)
+    d_out, d_term = np.zeros((5, 3, 3)), np.zeros((5, 3, 3))
+    for n in range(1, 15):  # 0.5^15 / 15! is far below rounding
+        for a in range(5):
+            d = so3.multiply(d_term[a], small)
+            d = so3.add(d, so3.multiply(term, TRACELESS[a]), scale)
+            so3.put(d_term[a], 0, 0, d, 1.0 / n)
+            so3.put(d_out[a], 0, 0, so3.add(d_out[a], d_term[a], 1.0), 1.0)
+        term = so3.add(np.zeros((3, 3)), so3.multiply(term, small), 1.0 / n)
+        out = so3.add(out, term, 1.0)
+    for _ in range(squarings):
+        for a in range(5):
+            d = so3.add(so3.multiply(d_out[a], out), so3.multiply(out, d_out[a]), 1.0)
+            so3.put(d_out[a], 0, 0, d, 1.0)
+        out = so3.multiply(out, out)
+    return out, d_out
+
+
+@jit
+def _inertia_of(density: Array) -> Array:
+    """J = tr(D) I - D of the second moments D of the mass, (3, 3)."""
+    out = so3.add(np.zeros((3, 3)), density, -1.0)
+    for i in range(3):
+        out[i, i] += density[0, 0] + density[1, 1] + density[2, 2]
+    return out
+
+
+@jit
+def inertia_matrix(k: Array) -> tuple[Array, Array]:
+    """J (3, 3), up to its scale, and its derivatives to k (5,), (5, 3, 3).
+
+    Every k is a body: D = exp(S) is positive definite, which holds just for inertias of
+    positive mass (Wensing, Kim, Slotine 2018, section III). See `state.INERTIA_MATRIX`.
+    """
+    S = np.zeros((3, 3))
+    for a in range(5):
+        S = so3.add(S, TRACELESS[a], k[a])
+    density, slope = _exponential(S)
+    d_inertia = np.empty((5, 3, 3))
+    for a in range(5):
+        so3.put(d_inertia[a], 0, 0, _inertia_of(slope[a]), 1.0)
+    return _inertia_of(density), d_inertia
+
+
+@jit
+def _inverse(J: Array) -> Array:
+    """Of a symmetric positive definite (3, 3) matrix, by cofactors."""
+    out, determinant = np.empty((3, 3)), 0.0
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            c, d = (j + 1) % 3, (j + 2) % 3
+            out[j, i] = J[a, c] * J[b, d] - J[a, d] * J[b, c]
+    for j in range(3):
+        determinant += J[0, j] * out[j, 0]
+    return out / determinant
+
+
+@jit
+def _gyroscopic(J: Array) -> Array:
+    """C (3, 6) with w x J w = C (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y)."""
+    out = np.zeros((3, 6))
+    for i in range(3):
+        j, m = (i + 1) % 3, (i + 2) % 3
+        out[i, j], out[i, m] = J[j, m], -J[j, m]
+        out[i, 3 + i] = J[m, m] - J[j, j]
+        out[i, 3 + j], out[i, 3 + m] = -J[i, j], J[i, m]
+    return out
+
+
+@jit
+def coefficients_of(J: Array) -> Array:
+    """A (3, 6), as `euler_coefficients` has it, of a known inertia J (3, 3)."""
+    return so3.add(np.zeros((3, 6)), so3.multiply(_inverse(J), _gyroscopic(J)), -1.0)
+
+
+@jit
+def euler_coefficients(k: Array) -> tuple[Array, Array]:
+    """A (3, 6) with w' = A (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y) for a body
+    without torque, and its derivatives to k, (n, 3, 6).
+
+    k (2,): principal inertia, w_x' = l_x w_y w_z; k (5,): the full matrix, A = -J^-1 C.
+    """
+    n = k.shape[0]
+    slope = np.zeros((n, 3, 6))
+    if n == 2:
+        A = np.zeros((3, 6))
+        l, dl = principal_ratios(k)
+        for i in range(3):
+            A[i, 3 + i] = l[i]
+            for a in range(2):
+                slope[a, i, 3 + i] = dl[i, a]
+        return A, slope
+    J, dJ = inertia_matrix(k)
+    A, minus = coefficients_of(J), so3.add(np.zeros((3, 3)), _inverse(J), -1.0)
+    for a in range(n):  # of J A = -C
+        bent = so3.add(_gyroscopic(dJ[a]), so3.multiply(dJ[a], A), 1.0)
+        so3.put(slope[a], 0, 0, so3.multiply(minus, bent), 1.0)
+    return A, slope

@@ -1,0 +1,70 @@
+"""Position of the chaser by satellite navigation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.models import Measurement, SensorModel
+from relnav_graph.state import CHASER_ATTITUDE, CHASER_POSITION, Block
+from relnav_graph.units import Quantity
+
+Array = NDArray[np.float64]
+
+
+@jit
+def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    """r (3,): predicted minus measured position. x = (r_c_i) or, with an antenna away from
+    the chaser's origin, (r_c_i, R_ic); p: its place in c."""
+    so3.put(H, 0, 0, so3.identity(3), 1.0)
+    for i in range(3):
+        r[i] = x[i] - z[i]
+    if x.shape[0] > 3:
+        R_ic = so3.matrix_at(x, 3)
+        so3.put_vector(r, 0, so3.add_vector(r, so3.rotate(R_ic, p), 1.0))
+        so3.put(H, 0, 3, so3.multiply(R_ic, so3.skew(p)), -1.0)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GpsPosition(SensorModel):
+    """Position of the antenna in the inertial frame, z = r_c_i + R_ic r_ac_c.
+
+    Xiong et al. 2013, eq. 23, with a lever arm: the receiver's solution, already turned
+    from Earth-fixed to inertial axes. o must not rotate where the antenna has an arm.
+
+    sigma: m, per axis of i, one for all or one each; antenna_position: r_ac_c, m, of the
+    antenna in chaser axes.
+    """
+
+    kind: ClassVar[str] = "gps_position"
+    columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m")
+    rows: ClassVar[int] = 3
+    kernel = staticmethod(kernel)
+
+    sigma: Annotated[Array, Quantity("m", (3,), positive=True, fill=True)]
+    antenna_position: Annotated[Array, Quantity("m", (3,))] = field(
+        default_factory=lambda: np.zeros(3)
+    )
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        if self.antenna_position.any():
+            return CHASER_POSITION, CHASER_ATTITUDE
+        return (CHASER_POSITION,)
+
+    def constants(self) -> Array:
+        return self.antenna_position
+
+    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+        """Positions (k, 3) in i, m."""
+        arm = x[1] @ self.antenna_position if len(x) > 1 else 0.0
+        return np.tile(x[0] + arm, (len(ids), 1))
+
+    def noise(self, m: Measurement) -> Array:
+        return np.tile(np.diag(self.sigma**2), (len(m.z), 1, 1))

@@ -1,0 +1,70 @@
+"""Orbit of the chaser itself, in an inertial frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.models import DynamicsModel
+from relnav_graph.state import CHASER_POSITION, CHASER_VELOCITY, Block
+from relnav_graph.units import Quantity
+
+from ._gravity import FIELD, Degree, earth_field, orbit_step
+from ._white_noise import add_integrated_white_noise, duration, step_count
+
+Array = NDArray[np.float64]
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r_c_i, v_c_i). p: field, position and acceleration density, longest step."""
+    length = duration(u)
+    steps = step_count(length, p[FIELD + 2])
+    h = length / steps
+    y, total, noise = x, so3.identity(6), np.zeros((6, 6))
+    for _ in range(steps):
+        y, step = orbit_step(p, y, h)
+        total = so3.multiply(step, total)
+        noise = so3.propagate_covariance(step, noise)
+        add_integrated_white_noise(noise, 0, p[FIELD + 1] ** 2, h)
+        for i in range(3):
+            noise[i, i] += p[FIELD] ** 2 * h
+    so3.put_vector(x_next, 0, y)
+    so3.put(F, 0, 0, total, 1.0)
+    so3.put(Q, 0, 0, noise, 1.0)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbitTwoBody(DynamicsModel):
+    """Position and velocity of the chaser, r'' = g(r) + white, in the inertial frame.
+
+    Xiong et al. 2013, eq. 13: a point mass; with zonal harmonics on request.
+
+    acceleration_density: m/s^1.5, white, per axis; position_density: m/sqrt(s), a random
+    walk of the position beside it (the paper's w_2, eq. 14, drives both); degree: of the
+    highest zonal harmonic of the Earth, 0 or 2 to 4; max_step: s, the longest Runge-Kutta
+    step.
+    """
+
+    kind: ClassVar[str] = "orbit_two_body"
+    noises: ClassVar[tuple[str, ...]] = ("position_density", "acceleration_density")
+    kernel = staticmethod(kernel)
+
+    acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    position_density: Annotated[float, Quantity("m/sqrt(s)", nonnegative=True)] = 0.0
+    degree: Degree = 0
+    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        return CHASER_POSITION, CHASER_VELOCITY
+
+    def constants(self) -> Array:
+        own = [self.position_density, self.acceleration_density, self.max_step]
+        return np.concatenate([earth_field(self.degree), own])
