@@ -113,7 +113,8 @@ class Scenario:
         )
         rng = sim.stream(seed, run, "prior")
         prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
-        return Problem(self.processes, self.sensors, prior, epochs, self.gates)
+        window = self.file.online.window
+        return Problem(self.processes, self.sensors, prior, epochs, self.gates, window)
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
