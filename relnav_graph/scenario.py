@@ -19,6 +19,7 @@ from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
+from relnav_graph.robust import Loss
 from relnav_graph.settings import (
     MISSING,
     BlockPrior,
@@ -61,6 +62,12 @@ class Scenario:
     def gates(self) -> dict[str, float]:
         """Probability of the gate of each sensor that has one."""
         return {name: o.gate for name, o in self.options.items() if o.gate is not None}
+
+    @property
+    def losses(self) -> dict[str, Loss]:
+        """Robust loss of each sensor that has one."""
+        found = self.options.items()
+        return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
 
     @property
     def input_columns(self) -> dict[str, tuple[str, ...]]:
@@ -113,8 +120,9 @@ class Scenario:
         )
         rng = sim.stream(seed, run, "prior")
         prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
-        window = self.file.online.window
-        return Problem(self.processes, self.sensors, prior, epochs, self.gates, window)
+        models = self.processes, self.sensors
+        options = self.gates, self.file.online.window, self.losses
+        return Problem(*models, prior, epochs, *options)
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.gating import thresholds
+from relnav_graph.estimators.gating import losses_of, thresholds
 from relnav_graph.filtering import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.track import Innovations, Status, Track
@@ -144,12 +144,13 @@ class KalmanFilter:
             *(np.ones(assembly.observations), np.zeros(count), np.zeros(count, dtype=np.int64)),
         )
         limits, failure = thresholds(assembly, self.problem.gates), np.zeros(4, dtype=np.int64)
+        losses = losses_of(assembly, self.problem.losses)
         arrays = [getattr(out, f.name) for f in fields(out)[1:-2]]
         for k in range(count) if seconds is not None else [0]:
             begun, end = time.perf_counter(), k + 1 if seconds is not None else count
             filter_epochs(
                 *(*assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
-                *(assembly.layout.kinds, limits, self.iterations, k, end),
+                *(assembly.layout.kinds, limits, losses, self.iterations, k, end),
                 *(self.x, self.P, *arrays, failure),
             )
             reached = int(failure[3]) if failure[0] else end

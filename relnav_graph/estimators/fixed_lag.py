@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import UNSOLVED, Solution, solve
+from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
 from relnav_graph.estimators.packing import pack, unpack
 from relnav_graph.problem import SAME_TIME, Epoch, Problem
@@ -117,10 +117,9 @@ class FixedLagEngine:
         weights = (*state.weights, done.weights)
         start = np.concatenate([state.trajectory, kalman.x[None]])
         try:
-            solution = solve(
+            solution = solve_gated(
                 _joined(parts, len(start)),
-                *(state.anchor, start, np.concatenate(weights)),
-                tolerance=self.tolerance,
+                *(p, start, np.concatenate(weights), self.tolerance, state.anchor),
             )
         except UNSOLVED as error:
             raise EstimationError(
@@ -130,6 +129,8 @@ class FixedLagEngine:
         P = inverse @ inverse.T
         if not (np.isfinite(solution.x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
+        edges = np.cumsum([part.observations for part in parts])[:-1]
+        weights = tuple(np.split(solution.weights, edges))
         window = Window(
             *(epoch.t, state.anchor, solution.x, 0.5 * (P + P.T)),
             *(epochs, parts, weights, done, None, solution),
