@@ -104,7 +104,7 @@ class Scenario:
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
                     f" of time.step, {self.file.time.step} s"
                 )
-        timings = {name: sim.Timing(o.period) for name, o in self.options.items()}
+        timings = {name: o.timing() for name, o in self.options.items()}
         times = self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
         return sim.simulate(
             self.truth, self.inputs, self.processes, self.sensors, timings, times, seed, run

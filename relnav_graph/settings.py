@@ -100,6 +100,12 @@ class SensorOptions(BaseModel):
     period: Seconds | None = None
     outliers: OutlierSettings | None = None
 
+    def timing(self) -> sim.Timing:
+        """What the simulator needs to know."""
+        if self.outliers is None:
+            return sim.Timing(self.period)
+        return sim.Timing(self.period, self.outliers.fraction, self.outliers.size)
+
 
 class OnlineSettings(BaseModel):
     """Of estimators that take one epoch at a time: `window`, of the fixed-lag smoother and

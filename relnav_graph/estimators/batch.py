@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.ekf import ITERATIONS, filter_pass, judge
-from relnav_graph.estimators.gating import count_rejected, residual_weights
+from relnav_graph.estimators.gating import (
+    count_downweighted,
+    count_rejected,
+    lost,
+    residual_weights,
+)
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Prior, Problem
 from relnav_graph.robust import Loss
@@ -200,7 +205,7 @@ class Batch:
         done = filter_pass(problem, ITERATIONS)
         x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         status: Status = "diverged"
-        rejected = dict.fromkeys(problem.sensors, 0)
+        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
         assembly, message = done.assembly, done.stopped
         if not message:
             try:
@@ -209,8 +214,10 @@ class Batch:
                 solution = solve_gated(assembly, problem, begin, weights)
                 x, P = solution.x, solution.conditionals.covariances()
                 rejected |= count_rejected(assembly, solution.weights)
+                downweighted = count_downweighted(assembly, solution.weights)
+                away = lost(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
-                status, message = judge(rejected, problem, 2 * solution.cost, int(rows.sum()))
+                status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
                 if solution.distance > 0.1:
                     status = "degraded"
                     message = f"not converged: last step {solution.distance:.2g} sigma"
@@ -227,4 +234,5 @@ class Batch:
             message=message,
             runtime_s=time.perf_counter() - start,
             rejected=rejected,
+            downweighted=downweighted,
         )

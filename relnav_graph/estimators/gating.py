@@ -13,7 +13,14 @@ from relnav_graph.assembly import Assembly, MeasurementRows
 from relnav_graph.loops import ROWS
 from relnav_graph.robust import Loss, root_weights
 
-__all__ = ["count_downweighted", "count_rejected", "losses_of", "residual_weights", "thresholds"]
+__all__ = [
+    "count_downweighted",
+    "count_rejected",
+    "losses_of",
+    "lost",
+    "residual_weights",
+    "thresholds",
+]
 
 Array = NDArray[np.float64]
 
@@ -52,14 +59,21 @@ def residual_weights(
     ends = np.cumsum(assembly.heights)
     total = np.concatenate(([0.0], np.cumsum(rows.r**2)))
     squares = total[ends] - total[ends - assembly.heights]
-    passed = (rows.status == 0) & (squares <= thresholds(assembly, gates))
     weights: Array = root_weights(losses_of(assembly, losses), squares / assembly.heights)
-    return np.where(passed, weights, 0.0)
+    weights[rows.status != 0] = 0.0
+    weights[squares > thresholds(assembly, gates)] = 0.0
+    return weights
 
 
 def count_downweighted(assembly: Assembly, weights: Array) -> dict[str, int]:
     """Observations that a robust loss lets count for less, by sensor."""
     return assembly.by_sensor((weights > 0) & (weights < 1))
+
+
+def lost(assembly: Assembly, weights: Array) -> dict[str, float]:
+    """What was rejected or down-weighted of each sensor, in whole observations."""
+    part = np.bincount(assembly.sensor_of, 1 - weights**2, len(assembly.sensor_names))
+    return {name: float(n) for name, n in zip(assembly.sensor_names, part, strict=True)}
 
 
 def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:
