@@ -39,13 +39,17 @@ def raised(where: str, noise: Array, z: Array) -> Array:
 
 
 def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
-    """R (k, rows, rows) of a measurement, of the right shape. Raises ModelError."""
+    """R (k, rows, rows) of a measurement, of the right shape. Raises ModelError, or
+    InputError when it is not symmetric."""
     noise = np.asarray(sensor.noise(m))
     expected = (len(m.z), sensor.rows, sensor.rows)
     if noise.shape != expected:
         raise ModelError(
             f"sensor {name!r} at t = {m.t} s: noise gives {noise.shape}, expected {expected}"
         )
+    skew = np.abs(noise - noise.transpose(0, 2, 1)).max(initial=0.0)
+    if skew > 1e-9 * np.abs(noise).max(initial=0.0):
+        raise InputError(f"sensor {name!r} at t = {m.t} s: the noise covariance is not symmetric")
     return noise
 
 
