@@ -122,6 +122,13 @@ class EulerRotation(DynamicsModel):
         inertia = {"principal": (INERTIA,), "full": (INERTIA_MATRIX,), "known": ()}
         return TARGET_ATTITUDE, rate, *inertia[self.inertia]
 
+    def caution(self, length: float, *x: Array) -> str:
+        """Half a turn or more between epochs looks like the rest of a turn backwards."""
+        turn = float(np.linalg.norm(x[1])) * length
+        if turn < 0.98 * np.pi:
+            return ""
+        return f"the target turns {np.degrees(turn):.0f} deg in {length:g} s: aliased from 180 deg"
+
     def constants(self) -> Array:
         own = [self.torque_density, self.inertia_density, self.max_step]
         own.append(float(self.integrator == "euler"))

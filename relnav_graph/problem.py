@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.models import Dynamics, Measurement, Sensor, check_inputs
+from relnav_graph.robust import Loss
 from relnav_graph.state import Layout
 
 __all__ = ["Epoch", "InputSeries", "Prior", "Problem", "make_epochs"]
@@ -149,8 +150,10 @@ class Problem:
     """Models, prior and data of one pass.
 
     processes, sensors: models by name; gates: probability of the chi-square gate by
-    sensor, where one is asked for. Raises ModelError when a block is advanced by no
-    process or by two, InputError when times do not increase or a sensor is unknown.
+    sensor, where one is asked for; losses: robust ones, likewise; window: of a
+    fixed-lag smoother and for late data online, s, None for a number of epochs. Without
+    epochs it is one to be driven online: they come later. Raises ModelError when a block is
+    advanced by no process or by two, InputError when times do not increase or a sensor is unknown.
     """
 
     processes: Mapping[str, Dynamics]
@@ -158,10 +161,12 @@ class Problem:
     prior: Prior
     epochs: tuple[Epoch, ...]
     gates: Mapping[str, float] = field(default_factory=dict)
+    window: float | None = None
+    losses: Mapping[str, Loss] = field(default_factory=dict)
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("processes", "sensors", "gates"):
+        for name in ("processes", "sensors", "gates", "losses"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         object.__setattr__(self, "epochs", tuple(self.epochs))
         object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))
@@ -176,13 +181,11 @@ class Problem:
         except InputError as error:
             raise InputError(f"prior: {error}") from error
         times = np.array([e.t for e in self.epochs])
-        if not len(times):
-            raise InputError("epochs: found none, expected one or more")
         bad = ~np.isfinite(times) | np.concatenate(([False], np.diff(times) <= 0))
         if bad.any():
             k = int(np.nonzero(bad)[0][0])
             raise InputError(f"epoch {k}: found t = {times[k]} s, expected increasing times")
-        for before, epoch in zip((None, *self.epochs[:-1]), self.epochs, strict=True):
+        for before, epoch in zip((None, *self.epochs), self.epochs, strict=False):
             t_before = None if before is None else before.t
             check_epoch(self.processes, self.sensors, epoch, t_before)
 

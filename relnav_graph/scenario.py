@@ -19,6 +19,7 @@ from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
+from relnav_graph.robust import Loss
 from relnav_graph.settings import (
     MISSING,
     BlockPrior,
@@ -63,6 +64,12 @@ class Scenario:
         return {name: o.gate for name, o in self.options.items() if o.gate is not None}
 
     @property
+    def losses(self) -> dict[str, Loss]:
+        """Robust loss of each sensor that has one."""
+        found = self.options.items()
+        return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
+
+    @property
     def input_columns(self) -> dict[str, tuple[str, ...]]:
         """Inputs that the processes need: the columns of each, by name."""
         return {k: v for p in self.processes.values() for k, v in p.inputs.items()}
@@ -97,7 +104,7 @@ class Scenario:
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
                     f" of time.step, {self.file.time.step} s"
                 )
-        timings = {name: sim.Timing(o.period) for name, o in self.options.items()}
+        timings = {name: o.timing() for name, o in self.options.items()}
         times = self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
         return sim.simulate(
             self.truth, self.inputs, self.processes, self.sensors, timings, times, seed, run
@@ -113,7 +120,9 @@ class Scenario:
         )
         rng = sim.stream(seed, run, "prior")
         prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
-        return Problem(self.processes, self.sensors, prior, epochs, self.gates)
+        models = self.processes, self.sensors
+        options = self.gates, self.file.online.window, self.losses
+        return Problem(*models, prior, epochs, *options)
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:

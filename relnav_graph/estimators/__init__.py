@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph.errors import EstimationError, GeometryError, ModelError
+from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
 from relnav_graph.problem import Problem
 from relnav_graph.registry import find_class
 from relnav_graph.track import Track
@@ -19,7 +20,8 @@ GROUP = "relnav_graph.estimators"
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What every estimator offers; the online ones also have ``step(epoch)``."""
+    """What every estimator offers; those that can be driven online also have
+    ``engine(problem)``, see `relnav_graph.estimators.online`."""
 
     kind: ClassVar[str]
 
@@ -31,12 +33,28 @@ def run_estimator(kind: str, problem: Problem) -> Track:
     """Run an estimator of a kind, or of ``"module:Class"``, on one thread.
 
     Threads only slow the small matrices of an epoch down. Raises ModelError on an unknown
-    kind, EstimationError when no estimate is possible.
+    kind, InputError on a problem without epochs, EstimationError when no estimate is possible.
     """
+    if not problem.epochs:
+        raise InputError("epochs: found none, expected one or more")
     estimator: Estimator = find_class(GROUP, kind)()
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
-        return estimator.run(problem)
+        track = estimator.run(problem)
+    return track if track.status != "ok" else _cautious(track, problem)
+
+
+def _cautious(track: Track, problem: Problem) -> Track:
+    """The track, degraded where a process says that its state cannot be told from another."""
+    from relnav_graph.estimators.health import caution
+
+    for epoch, x in zip(problem.epochs, track.x, strict=True):
+        doubt = caution(problem, epoch, x)
+        if doubt:
+            message = f"t = {epoch.t} s: {doubt}"
+            ahead = track.smoothed and replace(track.smoothed, status="degraded", message=message)
+            return replace(track, status="degraded", message=message, smoothed=ahead)
+    return track
 
 
 def try_estimator(kind: str, problem: Problem) -> Track:
