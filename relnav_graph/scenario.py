@@ -111,9 +111,27 @@ class Scenario:
         epochs = make_epochs(
             self.processes, recording.measurements, recording.inputs, recording.times
         )
-        rng = sim.stream(seed, run, "prior")
-        prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
+        prior = self.prior(recording.truth, epochs[0].t, seed, run)
         return Problem(self.processes, self.sensors, prior, epochs, self.gates)
+
+    def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
+        """The prior at time t, s, drawn about the truth where it has no mean.
+
+        Raises InputError when it needs a truth that is not known.
+        """
+        rng = sim.stream(seed, run, "prior")
+        return make_prior(self.layout, self.file.prior, truth, t, rng)
+
+    def prior_with(self, means: Mapping[str, Array], t: float) -> Prior:
+        """The prior at time t, s, with `means` for blocks whose mean the scenario leaves open.
+
+        Raises InputError when one is missing.
+        """
+        given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
+        given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}
+        truth = Truth(np.array([t]), {n: value[None] for n, value in means.items()})
+        rng = np.random.default_rng(0)  # nothing is drawn
+        return make_prior(self.layout, {**self.file.prior, **given}, truth, t, rng)
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
