@@ -16,6 +16,7 @@ __all__ = ["main"]
 COMMANDS = {
     "compare": "Run several estimators on the same pass and score them.",
     "simulate": "Simulate a scenario into a data set.",
+    "stream": "Estimate online: JSON lines in, JSON lines out.",
     "smooth": "Smooth the recorded pass of a data set.",
     "validate": "Check a scenario or a data set: every error, with its path.",
     "list": "List models, estimators, truths, readers and scenarios.",

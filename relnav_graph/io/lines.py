@@ -30,10 +30,10 @@ Out goes a line for each epoch, and for each one that a late measurement improve
      "rejected": [{"sensor": "beacons", "t": 70.0, "id": 3, "reason": "..."}],
      "latency_ms": 0.8}
 
-- `seq` counts the lines out, from 0. `t` is the newest epoch; `late` says how many epochs
-  before it were changed by measurements that came late, where any were.
+- `seq` counts the lines out, from 0. `t` is the newest epoch: it comes again when a late
+  measurement has improved its estimate.
 - `status`: OK, DEGRADED (the estimate is fed by less than it should be, or its residuals do
-  not fit), LOST (not to be used). `message` says why.
+  not fit), LOST (not to be used). `message` says why. `estimate` is null where there is none.
 - `sigma` of an attitude are angles about the axes of its right-hand frame.
 - `rejected`: what was not used since the line before, and why; `id` null for all of a line,
   `sensor` null for a line that names none.
@@ -69,6 +69,9 @@ __all__ = [
     "Tick",
     "dump",
     "estimate_object",
+    "header_of",
+    "input_object",
+    "measurement_object",
     "parse_line",
     "prior_values",
     "recording_lines",
@@ -251,6 +254,22 @@ def parse_line(
         raise LineError(str(error), *_named(raw)) from error
 
 
+def header_of(first: bytes) -> Header:
+    """The header that a first line is, or an empty one when it is something else.
+
+    Raises LineError when it is a header that cannot be used.
+    """
+    try:
+        raw = from_json(first)
+    except ValueError:
+        return Header()
+    if not isinstance(raw, dict) or "format" not in raw:
+        return Header()
+    header = parse_line(first, {}, {})[1]
+    assert isinstance(header, Header)
+    return header
+
+
 def prior_values(header: Header, layout: Layout) -> dict[str, Array]:
     """Values of the blocks whose prior means a header gives. Raises InputError."""
     out = {}
@@ -300,6 +319,23 @@ def estimate_object(
     return found
 
 
+def measurement_object(m: Measurement) -> dict[str, Any]:
+    """A measurement as a line in."""
+    line = {"sensor": m.sensor, "t": float(m.t), "id": m.ids.tolist(), "z": m.z.tolist()}
+    return line if m.t_arrival is None else {**line, "t_arrival": float(m.t_arrival)}
+
+
+def input_object(sample: InputSample) -> dict[str, Any]:
+    """A sample of an input as a line in."""
+    line = {
+        "input": sample.name,
+        "t_start": sample.t_start,
+        "t_end": sample.t_end,
+        "values": sample.values.tolist(),
+    }
+    return line if sample.t_arrival is None else {**line, "t_arrival": sample.t_arrival}
+
+
 def recording_lines(
     recording: Recording, name: str, seed: int, layout: Layout, prior: Prior
 ) -> Iterator[str]:
@@ -310,15 +346,12 @@ def recording_lines(
     mean = {b.name: _components(b, layout.value(prior.x, b.name)) for b in layout}
     lines: list[tuple[float, int, dict[str, Any]]] = []
     for key, series in recording.inputs.items():
-        arrays = series.t_start, series.t_end, series.values
-        for t_start, t_end, values in zip(*(a.tolist() for a in arrays), strict=True):
-            line = {"input": key, "t_start": t_start, "t_end": t_end, "values": values}
-            lines.append((t_end, 0, line))
+        edges = zip(series.t_start.tolist(), series.t_end.tolist(), strict=True)
+        for (t_start, t_end), values in zip(edges, series.values, strict=True):
+            lines.append((t_end, 0, input_object(InputSample(key, t_start, t_end, values))))
     for m in recording.measurements:
-        line = {"sensor": m.sensor, "t": float(m.t), "id": m.ids.tolist(), "z": m.z.tolist()}
-        if m.t_arrival is not None:
-            line["t_arrival"] = float(m.t_arrival)
-        lines.append((m.t if m.t_arrival is None else m.t_arrival, 1, line))
+        arrival = m.t if m.t_arrival is None else m.t_arrival
+        lines.append((float(arrival), 1, measurement_object(m)))
     measured = np.array(sorted([*(m.t for m in recording.measurements), np.inf]))
     nearest = measured[np.searchsorted(measured, recording.times - SAME_TIME)]
     silent = recording.times[nearest > recording.times + SAME_TIME]

@@ -14,11 +14,9 @@ from relnav_graph.io.lines import InputSample
 from relnav_graph.models import Measurement
 from relnav_graph.problem import SAME_TIME, InputSeries
 
-__all__ = ["InputBuffer", "Observation", "Waiting", "WaitingEpoch"]
+__all__ = ["InputBuffer", "Waiting", "WaitingEpoch"]
 
 Array = NDArray[np.float64]
-#: One observation: which sensor, and which of its ids.
-Observation = tuple[str, int]
 
 
 class InputBuffer:
@@ -80,9 +78,25 @@ class InputBuffer:
         self.samples.insert(k, filled)
         return filled
 
+    def held(self, t0: float, t1: float) -> InputSeries:
+        """The samples of [t0, t1], s, and from where they end on the newest one."""
+        end = self.reach(t0)
+        if end >= t1 - SAME_TIME or not self.samples:
+            return self.series(t0, t1)
+        past = [s for s in self.samples if s.t_start < end + SAME_TIME]
+        values = (past or self.samples)[-1].values
+        known = self.series(t0, end)
+        return InputSeries(
+            self.name,
+            np.append(known.t_start, end),
+            np.append(known.t_end, t1),
+            np.vstack([known.values.reshape(-1, len(values)), values]),
+        )
+
     def drop(self, t: float) -> None:
-        """Forget what ends before t, s."""
-        del self.samples[: bisect.bisect_right(self.samples, t, key=lambda s: s.t_end)]
+        """Forget what ends before t, s, but for the newest of it."""
+        gone = bisect.bisect_right(self.samples, t, key=lambda s: s.t_end)
+        del self.samples[: max(gone - 1, 0)]
 
 
 @dataclass

@@ -7,8 +7,8 @@ written to, and only at its end. A segment is the line ``relnav-journal 1``, the
     CRC-32 of these nine bytes (4)  content
 
 of types M (what the journal belongs to, JSON), S (snapshot of the state), L (a line in, as
-it came), F (a pause in the stream, at which what was complete was estimated) and O (a line
-out: its number and digest). A segment begins with M and S; what follows, done again from
+it came), F (a pause in the stream, at which what was complete was estimated, or its end) and
+O (a line out: its number and digest). A segment begins with M and S; what follows, done again from
 that snapshot, gives the same state and the same lines out. A new one is written under
 another name, flushed to the disk and renamed, so that it is there whole or not at all, and
 the segments before it stay.
@@ -28,10 +28,11 @@ import fcntl
 import json
 import os
 import re
+import shutil
 import struct
 import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -92,7 +93,7 @@ def read_segment(path: Path, last: bool) -> tuple[list[Record], int]:
                 raise JournalError(f"{path}: offset {at}: damaged: the head of a record")
             content = data[at + fixed : at + fixed + length]
             whole = len(content) == length
-        if not whole:
+        if not whole or not any(data[at:]):  # zeros: where a machine went down
             if last:
                 break
             raise JournalError(f"{path}: offset {at}: damaged: the file stops within a record")
@@ -108,16 +109,16 @@ def read_segment(path: Path, last: bool) -> tuple[list[Record], int]:
 class Journal:
     """The journal in a folder, opened for one process.
 
-    identity: what it belongs to; one that belongs to something else is refused.
     snapshot, records: where to go on from, and what came after it; snapshot is b"" for a
-    new journal, which begins with :meth:`rotate`.
-    Raises JournalError when it is damaged, of another version or identity, or in use.
+    new journal, which begins with :meth:`rotate`. identity: what it belongs to. cut: bytes
+    of a torn record that were removed.
+    Raises JournalError when it is damaged, of another version, or in use.
     """
 
-    def __init__(self, folder: Path, identity: Mapping[str, Any], policy: Policy) -> None:
+    def __init__(self, folder: Path, policy: Policy) -> None:
         self.folder, self.policy = folder, policy
-        self.identity = dict(identity)
-        self.cut = 0  # bytes of a torn record that were removed
+        self.identity: dict[str, Any] = {}
+        self.cut = 0
         self._file = -1
         self._lock = self._take()
         try:
@@ -146,23 +147,29 @@ class Journal:
 
     def _open(self) -> tuple[bytes, list[Record]]:
         segments = self.segments()
+        for leftover in self.folder.glob(".*.journal.*"):
+            shutil.rmtree(leftover)  # of a segment that a kill kept from being renamed
         if not segments:
             return b"", []
         path = segments[-1]
         records, end = read_segment(path, last=True)
-        identity = json.loads(records[0][1])
-        for key, value in self.identity.items():
-            if identity.get(key) != value:
-                raise JournalError(
-                    f"{path}: the journal belongs to another run: found {key} ="
-                    f" {identity.get(key)!r}, expected {value!r}"
-                )
+        self.identity = json.loads(records[0][1])
         self.cut = path.stat().st_size - end
         self._file = os.open(path, os.O_RDWR)
         if self.cut:
             os.ftruncate(self._file, end)
         os.lseek(self._file, end, os.SEEK_SET)
         return records[1][1], records[2:]
+
+    def belongs_to(self, identity: Mapping[str, Any]) -> None:
+        """Raise JournalError unless it is new or belongs to this."""
+        for key, value in identity.items() if self.snapshot else ():
+            if self.identity.get(key) != value:
+                raise JournalError(
+                    f"{self.folder}: the journal belongs to another run: found {key} ="
+                    f" {self.identity.get(key)!r}, expected {value!r}"
+                )
+        self.identity = dict(identity)
 
     def append(self, kind: bytes, content: bytes = b"") -> None:
         """Add a record. Raises JournalError when it cannot be written; nothing is then."""
@@ -222,7 +229,3 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-
-def replay(records: list[Record]) -> Iterator[Record]:
-    """What came in after a snapshot: lines and pauses, in order."""
-    return (record for record in records if record[0] in (b"L", b"F"))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import select
 import socket
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
@@ -29,8 +30,8 @@ class Source:
     """Lines of a descriptor.
 
     settle: a pause of so many s is told as None. follow: for a file, wait at its end for
-    more, for `patience` s at most (None: for ever).
-    waiting: wraps each wait, so that a signal may break it off.
+    more, for `patience` s at most (None: for ever). waiting: wraps each wait, so that a
+    signal may break it off.
     """
 
     def __init__(
@@ -43,6 +44,19 @@ class Source:
     ) -> None:
         self.settle, self._descriptor, self._follow = settle, descriptor, follow
         self._patience, self._waiting = patience, waiting or nullcontext()
+
+    def skip(self, offset: int) -> None:
+        """Go on at an offset, bytes, of a file; a pipe or a socket goes on where it is.
+
+        Raises InputError when the file is shorter than that.
+        """
+        status = os.fstat(self._descriptor)
+        if stat.S_ISREG(status.st_mode):
+            if status.st_size < offset - 1:  # the end of a last line may be missing
+                raise InputError(
+                    f"the input has {status.st_size} bytes, and the journal has read {offset} of it"
+                )
+            os.lseek(self._descriptor, offset, os.SEEK_SET)
 
     def _chunk(self, seconds: float | None) -> bytes | None:
         """What there is to read, b"" at the end, None when nothing comes for a while."""
