@@ -32,7 +32,9 @@ _MEANT = {
 _MISFIT, _FIT = 1e-9, 1e-3
 
 
-def _misfit(sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Array) -> tuple[float, int]:
+def _misfit(
+    sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Array
+) -> tuple[float, int]:
     """Squared normalised innovation at the state x with covariance P, and its rows."""
     values = layout.values(x)
     r, jacobians = sensor.residual(m, *(values[b.name] for b in sensor.reads))

@@ -33,7 +33,9 @@ from relnav_graph.streaming.sources import Source, open_source
 @click.option("--from", "where", default="-", help="File, - (default), or tcp:PORT (loopback).")
 @click.option("--follow", is_flag=True, help="Wait at the end of a file for more.")
 @click.option("--for", "patience", type=float, help="With --follow: wait so many s at most.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="File instead of standard output.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="File instead of standard output."
+)
 @click.option("--journal", "folder", type=click.Path(path_type=Path), help="Folder of the journal.")
 @click.option(
     *("--fsync", "policy"),
@@ -87,7 +89,9 @@ def command(
             source = open_source(where, settle, follow, patience, interrupts)
             incoming = source.lines()
             header, first = _opening(journal, incoming)
-            session = _session(load_scenario(scenario, assignments, header.settings), kind, header, options)
+            session = _session(
+                load_scenario(scenario, assignments, header.settings), kind, header, options
+            )
             if journal is not None:
                 journal.belongs_to({**identity, "options": vars(options)})
             resumed = journal is not None and bool(journal.snapshot)
@@ -106,7 +110,9 @@ def _opening(journal: Journal | None, lines: Iterator[bytes | None]) -> tuple[He
     """The header of the stream, and the first line where it had to be read for that."""
     if journal is not None and journal.snapshot:
         if journal.cut:
-            show_progress(f"{journal.folder}: the last record was torn; {journal.cut} bytes cut off")
+            show_progress(
+                f"{journal.folder}: the last record was torn; {journal.cut} bytes cut off"
+            )
         return journaled_header(journal), []
     first = next((line for line in lines if line is not None), None)
     return (Header(), []) if first is None else (header_of(first), [first])
@@ -126,7 +132,9 @@ def _session(scenario: Scenario, kind: str, header: Header, options: Options) ->
     """A session before its first line. Raises InputError when the prior lacks a mean."""
     means = prior_values(header, scenario.layout)
     problem = scenario.problem_at(scenario.prior_with(means, header.t or 0.0))
-    return Session(problem, Online(problem, find_class(GROUP, kind)().engine(problem)), header, options)
+    return Session(
+        problem, Online(problem, find_class(GROUP, kind)().engine(problem)), header, options
+    )
 
 
 def _verdict(session: Session, recorder: Recorder, allow_rejects: bool) -> int:
@@ -135,6 +143,8 @@ def _verdict(session: Session, recorder: Recorder, allow_rejects: bool) -> int:
     if recorder.skipped:
         show_progress(f"{recorder.skipped} lines came again and were skipped")
     for sensor, counts in session.rejected.items():
-        show_progress(f"{sensor}: not used: " + ", ".join(f"{n} {why}" for why, n in counts.items()))
+        show_progress(
+            f"{sensor}: not used: " + ", ".join(f"{n} {why}" for why, n in counts.items())
+        )
     refused = any(why != "downweighted" for counts in session.rejected.values() for why in counts)
     return 3 if session.status != "OK" or (refused and not allow_rejects) else 0

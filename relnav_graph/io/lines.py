@@ -281,7 +281,9 @@ def prior_values(header: Header, layout: Layout) -> dict[str, Array]:
         if found.shape != (length,) or not np.isfinite(found).all():
             raise InputError(f"header: prior.{name}: found {components}, expected {length} numbers")
         if block.manifold == "SO3" and abs(np.linalg.norm(found) - 1) > 1e-6:
-            raise InputError(f"header: prior.{name}: found {components}, expected a unit quaternion")
+            raise InputError(
+                f"header: prior.{name}: found {components}, expected a unit quaternion"
+            )
         out[name] = from_components(block, found[None])[0]
     return out
 

@@ -34,7 +34,10 @@ class InputBuffer:
             same = abs(np.array([other.t_start - sample.t_start, other.t_end - sample.t_end]))
             if same.max() <= SAME_TIME and np.array_equal(other.values, sample.values):
                 return False
-            if other.t_start < sample.t_end - SAME_TIME and sample.t_start < other.t_end - SAME_TIME:
+            if (
+                other.t_start < sample.t_end - SAME_TIME
+                and sample.t_start < other.t_end - SAME_TIME
+            ):
                 raise InputError(
                     f"found {sample.t_start} s to {sample.t_end} s, which overlaps"
                     f" {other.t_start} s to {other.t_end} s"

@@ -228,4 +228,3 @@ class Journal:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-

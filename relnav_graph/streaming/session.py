@@ -74,9 +74,7 @@ class Session:
     online: the estimator, which has taken in nothing yet; header: of the stream.
     """
 
-    def __init__(
-        self, problem: Problem, online: Online, header: Header, options: Options
-    ) -> None:
+    def __init__(self, problem: Problem, online: Online, header: Header, options: Options) -> None:
         self.problem, self.online, self.header, self.options = problem, online, header, options
         self.columns = {k: v for p in problem.processes.values() for k, v in p.inputs.items()}
         self.rejected: dict[str, dict[str, int]] = {}

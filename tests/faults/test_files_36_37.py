@@ -55,7 +55,9 @@ main(sys.argv[2:])
 """
 
 
-def _with_room(room: int, *arguments: object, **streams: object) -> subprocess.CompletedProcess[str]:
+def _with_room(
+    room: int, *arguments: object, **streams: object
+) -> subprocess.CompletedProcess[str]:
     """A command whose files may not grow above `room` bytes: writing fails as on a full disk."""
     return subprocess.run(
         [sys.executable, "-c", LIMITED, str(room), *map(str, arguments)],
