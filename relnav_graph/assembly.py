@@ -20,7 +20,7 @@ from relnav_graph import loops
 from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.models import Dynamics, Measurement, Sensor
-from relnav_graph.problem import Epoch, check_epoch
+from relnav_graph.problem import Epoch, Problem, check_epoch
 from relnav_graph.state import Layout
 
 __all__ = ["Assembly", "MeasurementRows", "ProcessRows", "Tables"]
@@ -124,8 +124,8 @@ class Assembly:
     t_before: start of an interval that leads to the first epoch, None when it has none.
     observations: their number; epoch_offsets (N + 1,) and row_offsets (N + 1,): where each
     epoch's observations and rows begin; sensor_of (observations,): the place of each one's
-    sensor among `sensor_names`. Raises InputError or ModelError on an epoch or a model that
-    is not in order.
+    sensor among `sensor_names`. checked: whether the epochs are known to be in order.
+    Raises InputError or ModelError on an epoch or a model that is not in order.
     """
 
     def __init__(
@@ -135,10 +135,12 @@ class Assembly:
         sensors: Mapping[str, Sensor],
         epochs: Sequence[Epoch],
         t_before: float | None = None,
+        *,
+        checked: bool = False,
     ) -> None:
         # The compiled loops trust every size: nothing unchecked may reach them.
         before = [t_before, *(e.t for e in epochs[:-1])]
-        for t, epoch in zip(before, epochs, strict=True):
+        for t, epoch in zip(before, epochs, strict=True) if not checked else ():
             check_epoch(processes, sensors, epoch, t)
         self.layout = layout
         self.times = np.array([e.t for e in epochs])
@@ -178,6 +180,12 @@ class Assembly:
             *(sensor_table, observations, process_table, intervals),
             *(np.ascontiguousarray(starts), places.array(), numbers.array()),
         )
+
+    @classmethod
+    def of(cls, problem: Problem) -> Assembly:
+        """All epochs of a problem, which has checked them itself."""
+        models = problem.layout, problem.processes, problem.sensors
+        return cls(*models, problem.epochs, checked=True)
 
     def _stack_observations(self, epochs: Sequence[Epoch], numbers: _Store) -> Indices:
         """The table of observations; their data go to the numbers, sensor by sensor."""
@@ -291,7 +299,8 @@ class Assembly:
     @property
     def heights(self) -> Indices:
         """Rows of each observation (observations,)."""
-        return self.tables.sensors[self.sensor_of, loops.ROWS]
+        rows: Indices = self.tables.sensors[self.sensor_of, loops.ROWS]
+        return rows
 
     def rows_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which of all rows belong to the chosen observations."""
@@ -357,11 +366,12 @@ class Assembly:
 
     def whitening(self, Q: Array) -> Array:
         """Whitening matrices (M, n, n) of the process noise. Raises InputError."""
-        whiten = np.zeros_like(Q)
-        for name, process in self._processes.items():
-            _, own = self.layout.gather(process.advances)
-            rows = np.ix_(np.arange(len(Q)), own, own)
-            whiten[rows] = inverse_cholesky(f"process {name!r}", Q[rows])
+        whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
+        loops.whitening(self.tables.processes, self.tables.places, Q, whiten, failure)
+        if failure[2]:
+            name = list(self._processes)[failure[1]]
+            _, own = self.layout.gather(self._processes[name].advances)
+            inverse_cholesky(f"process {name!r}", Q[failure[0]][np.ix_(own, own)])
         return whiten
 
     def process(self, x: Array, whiten: Array) -> ProcessRows:
@@ -370,8 +380,6 @@ class Assembly:
         m, n = len(self.tables.starts), self.layout.dim
         out = ProcessRows(np.empty((m, n)), np.empty((m, n, n)), np.empty((m, n, n)))
         failure = np.zeros(3, dtype=np.int64)
-        loops.linearize(
-            *self.tables, x, whiten, self.layout.kinds, out.e, out.A, out.B, failure
-        )
+        loops.linearize(*self.tables, x, whiten, self.layout.kinds, out.e, out.A, out.B, failure)
         self.check_propagated(failure)
         return out

@@ -70,8 +70,8 @@ DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MAT
 
 #: Modules of this package that compiled code may call or take constants from.
 _LOWER_FLOORS = (
-    *("compiled", "constants", "filtering", "loops"),
-    *("matrices", "orbit", "so3", "state", "sweep"),
+    *("backward", "compiled", "constants", "filtering", "loops"),
+    *("matrices", "orbit", "so3", "state", "sweep", "updating"),
 )
 
 
@@ -107,19 +107,25 @@ def cache_folder(source: str) -> Path:
     return base / "relnav_graph" / hashlib.sha256(key.encode()).hexdigest()[:16]
 
 
-def _compile(function: F, *signature: Any) -> F:
+def _compile(function: F, *signature: Any, **options: bool) -> F:
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
     try:
-        return numba.njit(*signature, cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+        return numba.njit(*signature, cache=True, error_model="numpy", **options)(function)  # type: ignore[no-any-return]
     except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
-        return numba.njit(*signature, error_model="numpy")(function)  # type: ignore[no-any-return]
+        return numba.njit(*signature, error_model="numpy", **options)(function)  # type: ignore[no-any-return]
     finally:
         numba.config.CACHE_DIR = configured
 
 
 def jit(function: F) -> F:
-    """Compile `function` at its first call; for kernels and for what they call."""
+    """Compile `function` at its first call; for kernels and for what they call.
+
+    A private one can be called from compiled code only: its wrappers for Python would take
+    a tenth of the time that all compilation takes.
+    """
+    if function.__name__.startswith("_"):
+        return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     return _compile(function)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from relnav_graph.errors import InputError
-from relnav_graph.models import Derived
+from relnav_graph.models import Derived, DerivedQuantity
 from relnav_graph.state import Block
 from relnav_graph.track import Track, Truth
 
@@ -78,7 +78,12 @@ def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
     block, n = quantity.block, len(x[0])
     value = np.full((n, block.size), np.nan)
     jacobian = np.full((n, block.dim, sum(b.dim for b in quantity.reads)), np.nan)
-    for k in np.flatnonzero(finite(*x)):
+    known = np.flatnonzero(finite(*x))
+    if isinstance(quantity, DerivedQuantity):  # a whole pass at once
+        found, jacobian[known] = quantity.values(*(a[known] for a in x))
+        value[known] = found.reshape(len(known), block.size)
+        return block.unpack(value), jacobian
+    for k in known:
         one, jacobian[k] = quantity.value(*(a[k] for a in x))
         value[k] = one.reshape(-1)
     return block.unpack(value), jacobian

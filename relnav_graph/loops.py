@@ -13,6 +13,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from relnav_graph import so3
 from relnav_graph.compiled import (
     GUARD,
     INDICES,
@@ -25,10 +26,21 @@ from relnav_graph.compiled import (
     jit_as,
     sensor_at,
 )
-from relnav_graph.matrices import product
+from relnav_graph.matrices import cholesky, product, solve_lower
 from relnav_graph.state import local, times_jacobian
 
-__all__ = ["BROKEN", "TABLES", "interval_row", "interval_rows", "linearize", "measure", "transition"]
+__all__ = [
+    "BROKEN",
+    "TABLES",
+    "interval_row",
+    "interval_rows",
+    "linearize",
+    "measure",
+    "observe",
+    "propagate",
+    "transition",
+    "whitening",
+]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -252,10 +264,39 @@ def transition(
             return
 
 
+@jit_as(INDEX_MATRIX, INDICES, STACK, STACK, INDICES)
+def whitening(
+    processes: Indices, places: Indices, Q: Array, whiten: Array, failure: Indices
+) -> None:
+    """Inverse Cholesky factors of the process noise Q (M, n, n), process by process.
+
+    failure (3,): interval, process and 1 where one is not positive definite.
+    """
+    for a in range(processes.shape[0]):
+        rows = places[processes[a, ROWS] : processes[a, ROWS + 1]]
+        n = rows.shape[0]
+        own, scale = np.empty((n, n)), np.empty(n)
+        for k in range(Q.shape[0]):
+            for i in range(n):
+                scale[i] = np.sqrt(Q[k, rows[i], rows[i]])
+            for i in range(n):
+                for j in range(n):
+                    own[i, j] = Q[k, rows[i], rows[j]] / (scale[i] * scale[j])
+            if not cholesky(own):
+                failure[0], failure[1], failure[2] = k, a, 1
+                return
+            inverse = so3.identity(n)
+            solve_lower(own, inverse)
+            for i in range(n):
+                for j in range(n):
+                    whiten[k, rows[i], rows[j]] = inverse[i, j] / scale[j]
+
+
 @jit
 def interval_row(
     x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
 ) -> None:
+    """:func:`interval_rows` of one interval."""
     n = e.shape[0]
     error, left = local(x_next, x1, kinds, n), np.empty((n, n))
     minus = np.empty(n)

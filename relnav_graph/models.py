@@ -23,6 +23,7 @@ from relnav_graph.units import check_fields
 
 __all__ = [
     "Derived",
+    "DerivedQuantity",
     "Dynamics",
     "DynamicsModel",
     "Measurement",
@@ -163,6 +164,19 @@ class Derived(Protocol):
 
     def value(self, *x: Array) -> tuple[Array, Array]:
         """The value, and d(tangent of the value) / d(tangents of the blocks read)."""
+
+
+class DerivedQuantity:
+    """Mixin: `Derived.value` from `values`, the same over a whole pass at once."""
+
+    def values(self, *x: Array) -> tuple[Array, Array]:
+        """`value` at N epochs: one more axis in front of everything."""
+        raise NotImplementedError
+
+    def value(self, *x: Array) -> tuple[Array, Array]:
+        """The value and its Jacobian at one epoch."""
+        value, jacobian = self.values(*(np.asarray(a)[None] for a in x))
+        return value[0], jacobian[0]
 
 
 def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:

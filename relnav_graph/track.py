@@ -20,9 +20,9 @@ Status = Literal["ok", "degraded", "diverged"]
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """What a filter did not foresee of one sensor, whitened: v = L^-1 (prediction minus
-    measured) with L L^T = H P H^T + R, so that a consistent filter has v ~ N(0, I), white
-    in time.
+    """What a filter did not foresee of one sensor, whitened: v = S^-1/2 (prediction minus
+    measured) with S = H P H^T + R, so that a consistent filter has v ~ N(0, I), white in
+    time.
 
     t (m,): epochs with observations that were used, s; v: their rows, one epoch after the
     other; offsets (m + 1,): where each epoch's begin in v.

@@ -30,11 +30,11 @@ ITERATIONS = 20
 class FilterPass:
     """A filter's way through epochs.
 
-    By epoch: x_predicted (N, size), P_predicted, F since the epoch before (zero at the
-    first) (N, n, n), which may hold the last epoch only; Q: its only; x, P; nis and used: the
-    squared normalised innovation of the rows used, and their number. weights: of the
-    observations, 1 or 0 for one left out; white: innovations, whitened by sensor, NaN where
-    not used. reached: epochs filtered; stopped: why it stopped early, or "".
+    By epoch: x_predicted (N, size) and P_predicted (N, n, n); F since the epoch before, zero
+    at the first (or the last epoch's only); Q of the last epoch (1, n, n); x, P; nis and
+    used: the squared normalised innovation of the rows used, and their number. weights: of
+    the observations, 1 or 0 for one left out. reached: epochs filtered; stopped: why it
+    stopped early, or "".
     """
 
     assembly: Assembly
@@ -45,7 +45,6 @@ class FilterPass:
     x: Array
     P: Array
     weights: Array
-    white: Array
     nis: Array
     used: NDArray[np.int64]
     reached: int = 0
@@ -66,18 +65,40 @@ class FilterPass:
         return judge(rejected, problem, float(self.nis.sum()), int(self.used.sum()))
 
     def innovations(self) -> dict[str, Innovations]:
-        """Those of each sensor that saw anything, one epoch after the other."""
-        found, a = {}, self.assembly
-        count = int(a.row_offsets[self.reached])
-        sensor = np.repeat(a.sensor_of, a.heights)[:count]
-        epoch = np.repeat(np.arange(len(a.times)), np.diff(a.row_offsets))[:count]
+        """Those of each sensor that saw anything, one epoch after the other, each epoch's
+        whitened by the symmetric root of S = H P H^T + I."""
+        a, found = self.assembly, {}
+        rows = a.measure(self.x_predicted, self.weights)
+        sensor = np.where(
+            np.repeat(self.weights > 0, a.heights), np.repeat(a.sensor_of, a.heights), -1
+        )
+        epoch = np.repeat(np.arange(len(a.times)), np.diff(a.row_offsets))
         for i, name in enumerate(a.sensor_names):
-            own = (sensor == i) & np.isfinite(self.white[:count])
-            if own.any():
-                at, rows = np.unique(epoch[own], return_counts=True)
-                offsets = np.concatenate(([0], np.cumsum(rows)))
-                found[name] = Innovations(a.times[at], self.white[:count][own], offsets)
+            own = np.flatnonzero((sensor == i) & (epoch < self.reached))
+            if not len(own):
+                continue
+            at, begin, counts = np.unique(epoch[own], return_index=True, return_counts=True)
+            v = np.empty(len(own))
+            for count in np.unique(counts):  # epochs of one size at once
+                chosen = counts == count
+                places = begin[chosen, None] + np.arange(count)
+                H, r = rows.H[own[places]], rows.r[own[places]]
+                S = H @ self.P_predicted[at[chosen]] @ H.transpose(0, 2, 1) + np.eye(count)
+                v[places] = _whitened(S, r)
+            found[name] = Innovations(a.times[at], v, np.concatenate(([0], np.cumsum(counts))))
         return found
+
+
+def _whitened(S: Array, r: Array) -> Array:
+    """S^-1/2 r (N, rows), by the symmetric root, which turns no axis from epoch to epoch.
+
+    S = H P H^T + I has no eigenvalue below 1, whatever rounding makes of it.
+    """
+    w, V = np.linalg.eigh(S)
+    white: Array = np.einsum(
+        "kij,klj,kl,kj->ki", V, V, r, 1 / np.sqrt(np.maximum(w, 1.0)), optimize=True
+    )
+    return white
 
 
 class KalmanFilter:
@@ -111,17 +132,16 @@ class KalmanFilter:
     ) -> FilterPass:
         """Filter the epochs of an assembly, or as many as the filter survives.
 
-        keep: the predictions of all epochs, for a smoother; seconds: gets the time of each
+        keep: F of all epochs, for a smoother; seconds: gets the time of each
         epoch, s. Raises ModelError when a kernel breaks its contract.
         """
         count, n, size = len(assembly.times), self.problem.layout.dim, self.problem.layout.size
         kept = count if keep else 1
-        F, P_predicted, Q = (np.zeros((k, n, n)) for k in (kept, kept, 1))
+        F, P_predicted, Q = (np.zeros((k, n, n)) for k in (kept, count, 1))
         x, P = np.full((count, size), np.nan), np.full((count, n, n), np.nan)
         out = FilterPass(
-            *(assembly, np.zeros((kept, size)), P_predicted, F, Q, x, P),
-            *(np.ones(assembly.observations), np.full(int(assembly.row_offsets[-1]), np.nan)),
-            *(np.zeros(count), np.zeros(count, dtype=np.int64)),
+            *(assembly, np.zeros((count, size)), P_predicted, F, Q, x, P),
+            *(np.ones(assembly.observations), np.zeros(count), np.zeros(count, dtype=np.int64)),
         )
         limits, failure = thresholds(assembly, self.problem.gates), np.zeros(4, dtype=np.int64)
         arrays = [getattr(out, f.name) for f in fields(out)[1:-2]]
@@ -134,7 +154,8 @@ class KalmanFilter:
             )
             reached = int(failure[3]) if failure[0] else end
             if reached:
-                self.t, self.x, self.P = float(assembly.times[reached - 1]), x[reached - 1], P[reached - 1]
+                self.t = float(assembly.times[reached - 1])
+                self.x, self.P = x[reached - 1], P[reached - 1]
             if failure[0]:
                 x[reached:], P[reached:] = np.nan, np.nan
                 break
@@ -191,7 +212,7 @@ def filter_pass(
     problem: Problem, iterations: int, keep: bool = True, seconds: list[float] | None = None
 ) -> FilterPass:
     """Filter all epochs, or as many as the filter survives; see `KalmanFilter.run`."""
-    assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
+    assembly = Assembly.of(problem)
     return KalmanFilter(problem, iterations).run(assembly, keep, seconds)
 
 

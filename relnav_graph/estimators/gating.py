@@ -25,7 +25,8 @@ def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:
     for i, name in enumerate(assembly.sensor_names):
         if name in gates:
             limits[i] = chdtri(assembly.tables.sensors[i, ROWS], 1.0 - gates[name])
-    return limits[assembly.sensor_of]
+    by_observation: Array = limits[assembly.sensor_of]
+    return by_observation
 
 
 def residual_weights(

@@ -253,7 +253,7 @@ class Isam2:
         P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
         rejected = dict.fromkeys(problem.sensors, 0)
         status: Status = "diverged"
-        assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
+        assembly = Assembly.of(problem)
         try:
             for k, epoch in enumerate(problem.epochs):
                 begun = time.perf_counter()

@@ -9,9 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph.backward import backward
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
-from relnav_graph.filtering import FAILURES, backward
+from relnav_graph.filtering import FAILURES
 from relnav_graph.problem import Problem
 from relnav_graph.track import Track
 

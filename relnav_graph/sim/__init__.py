@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -54,6 +54,19 @@ class Timing:
         return abs(cycles - round(cycles)) < 1e-6
 
 
+def _seen(
+    sensor: Sensor, ids: NDArray[np.int64], x: Sequence[Array]
+) -> tuple[NDArray[np.int64], Array]:
+    """Those of the ids that can be seen, and what they give without noise."""
+    try:
+        return ids, sensor.predict(ids, *x)
+    except GeometryError:
+        if len(ids) == 1:
+            return ids[:0], np.zeros((0, len(sensor.columns)))
+    found = [_seen(sensor, ids[i : i + 1], x) for i in range(len(ids))]
+    return np.concatenate([i for i, _ in found]), np.concatenate([z for _, z in found])
+
+
 def measure(
     name: str, sensor: Sensor, timing: Timing, truth: Truth, rng: np.random.Generator
 ) -> list[Measurement]:
@@ -70,15 +83,9 @@ def measure(
         if not timing.fires(float(t), float(truth.t[0])):
             continue
         x = [np.ascontiguousarray(truth.values[b.name][k]) for b in sensor.reads]
-        seen, rows = [], []
-        for i in sensor.observables():
-            try:
-                rows.append(sensor.predict(np.array([i]), *x)[0])
-                seen.append(i)
-            except GeometryError:
-                continue
-        if seen:
-            clean = Measurement(name, float(t), np.array(rows), np.array(seen))
+        seen, rows = _seen(sensor, sensor.observables(), x)
+        if len(seen):
+            clean = Measurement(name, float(t), rows, seen)
             R = sensor.noise(clean)
             e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.standard_normal(R.shape[:2]))
             out.append(Measurement(name, float(t), sensor.perturb(clean.z, e), clean.ids))

@@ -1,0 +1,76 @@
+"""The compiled way back of the smoother that follows a filter."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import INDICES, MATRIX, STACK, jit_as
+from relnav_graph.filtering import NOT_POSITIVE
+from relnav_graph.loops import INDEX_MATRIX
+from relnav_graph.matrices import product, sandwich, solve_lower, solve_lower_transposed
+from relnav_graph.state import local, retract
+from relnav_graph.updating import copy, scaled_cholesky, to_tangent
+
+__all__ = ["backward"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@jit_as(INDEX_MATRIX, MATRIX, STACK, MATRIX, STACK, STACK, types.int64, MATRIX, STACK, INDICES)
+def backward(
+    kinds: Indices,
+    x: Array,
+    P: Array,
+    x_predicted: Array,
+    P_predicted: Array,
+    F: Array,
+    covariances: int,
+    xs: Array,
+    Ps: Array,
+    failure: Indices,
+) -> None:
+    """Smoothed xs (N, size) and, where wanted, covariances Ps (N, n, n) of a filter's pass.
+
+    Rauch, Tung, Striebel 1965; the differences are tangent vectors and covariances move
+    between tangents by the right Jacobian.
+    """
+    count, n = P.shape[0], P.shape[1]
+    scale, L, gain_T = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    gain, change, moved = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    for i in range(xs.shape[1]):
+        xs[count - 1, i] = x[count - 1, i]
+    if covariances:
+        copy(P[count - 1], Ps[count - 1])
+    for k in range(count - 2, -1, -1):
+        if not scaled_cholesky(P_predicted[k + 1], scale, L):
+            failure[0], failure[3] = NOT_POSITIVE, k + 1
+            return
+        product(F[k + 1], P[k], gain_T)
+        for i in range(n):
+            for j in range(n):
+                gain_T[i, j] /= scale[i]
+        solve_lower(L, gain_T)
+        solve_lower_transposed(L, gain_T)
+        for i in range(n):
+            for j in range(n):
+                gain[j, i] = gain_T[i, j] / scale[i]
+        d = local(x_predicted[k + 1], xs[k + 1], kinds, n)
+        move = so3.rotate(gain, d)
+        smoothed = retract(x[k], move, kinds)
+        for i in range(xs.shape[1]):
+            xs[k, i] = smoothed[i]
+        if covariances:
+            copy(Ps[k + 1], change)
+            to_tangent(change, d, kinds, True)
+            for i in range(n):
+                for j in range(n):
+                    change[i, j] -= P_predicted[k + 1, i, j]
+            sandwich(gain, change, moved)
+            for i in range(n):
+                for j in range(n):
+                    Ps[k, i, j] = P[k, i, j] + moved[i, j]
+            to_tangent(Ps[k], move, kinds, False)
