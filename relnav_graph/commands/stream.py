@@ -13,11 +13,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relnav_graph.commands import show_events, show_progress
-from relnav_graph.errors import InputError
-from relnav_graph.estimators import GROUP
-from relnav_graph.estimators.online import Online
+from relnav_graph.estimators.online import online
 from relnav_graph.io.lines import Header, header_of, prior_values
-from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.streaming.journal import Journal, Policy
 from relnav_graph.streaming.output import Output
@@ -79,8 +76,6 @@ def command(
     raw = load_scenario(scenario, assignments).raw  # before anything waits: its errors
     digest = hashlib.sha256(json.dumps(raw, sort_keys=True, default=str).encode())
     identity = {"scenario": scenario.stem, "sha256": digest.hexdigest(), "estimator": kind}
-    if not hasattr(find_class(GROUP, kind), "engine"):
-        raise InputError(f"-e {kind}: not an estimator that runs online")
     options = Options(max_gap, predict_to_now=predict_to_now)
     interrupts = Interrupts()
     with interrupts.installed(), ExitStack() as stack:
@@ -132,9 +127,7 @@ def _session(scenario: Scenario, kind: str, header: Header, options: Options) ->
     """A session before its first line. Raises InputError when the prior lacks a mean."""
     means = prior_values(header, scenario.layout)
     problem = scenario.problem_at(scenario.prior_with(means, header.t or 0.0))
-    return Session(
-        problem, Online(problem, find_class(GROUP, kind)().engine(problem)), header, options
-    )
+    return Session(problem, online(kind, problem), header, options)
 
 
 def _verdict(session: Session, recorder: Recorder, allow_rejects: bool) -> int:
