@@ -1,6 +1,13 @@
 """Named errors. Each message says where, what was found, and what was expected."""
 
-__all__ = ["EstimationError", "GeometryError", "InputError", "ModelError", "RelnavError"]
+__all__ = [
+    "EstimationError",
+    "GeometryError",
+    "InputError",
+    "LateError",
+    "ModelError",
+    "RelnavError",
+]
 
 
 class RelnavError(Exception):
@@ -9,6 +16,10 @@ class RelnavError(Exception):
 
 class InputError(RelnavError, ValueError):
     """A value, file or option given by the user is wrong."""
+
+
+class LateError(InputError):
+    """A measurement comes too late: its epoch has left the window, or was passed over."""
 
 
 class ModelError(RelnavError, TypeError):

@@ -149,7 +149,9 @@ class Problem:
     """Models, prior and data of one pass.
 
     processes, sensors: models by name; gates: probability of the chi-square gate by
-    sensor, where one is asked for. Raises ModelError when a block is advanced by no
+    sensor, where one is asked for; window: of a fixed-lag smoother and for late data
+    online, s, None for a number of epochs. Without epochs it is one to be driven online:
+    they come later. Raises ModelError when a block is advanced by no
     process or by two, InputError when times do not increase or a sensor is unknown.
     """
 
@@ -158,6 +160,7 @@ class Problem:
     prior: Prior
     epochs: tuple[Epoch, ...]
     gates: Mapping[str, float] = field(default_factory=dict)
+    window: float | None = None
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
@@ -176,13 +179,11 @@ class Problem:
         except InputError as error:
             raise InputError(f"prior: {error}") from error
         times = np.array([e.t for e in self.epochs])
-        if not len(times):
-            raise InputError("epochs: found none, expected one or more")
         bad = ~np.isfinite(times) | np.concatenate(([False], np.diff(times) <= 0))
         if bad.any():
             k = int(np.nonzero(bad)[0][0])
             raise InputError(f"epoch {k}: found t = {times[k]} s, expected increasing times")
-        for before, epoch in zip((None, *self.epochs[:-1]), self.epochs, strict=True):
+        for before, epoch in zip((None, *self.epochs), self.epochs, strict=False):
             t_before = None if before is None else before.t
             check_epoch(self.processes, self.sensors, epoch, t_before)
 

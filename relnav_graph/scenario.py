@@ -122,7 +122,8 @@ class Scenario:
 
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""
-        return Problem(self.processes, self.sensors, prior, tuple(epochs), self.gates)
+        window = self.file.online.window
+        return Problem(self.processes, self.sensors, prior, tuple(epochs), self.gates, window)
 
     def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
         """The prior at time t, s, drawn about the truth where it has no mean.

@@ -86,6 +86,15 @@ class SensorOptions(BaseModel):
     period: Seconds | None = None
 
 
+class OnlineSettings(BaseModel):
+    """Of estimators that take one epoch at a time: `window`, of the fixed-lag smoother and
+    for measurements that come late; without, 30 epochs."""
+
+    model_config = _STRICT
+
+    window: Seconds | None = None
+
+
 class BlockPrior(BaseModel):
     """Prior of one block. sigma: one for all axes or one each, SI or strings with units.
 
@@ -115,6 +124,7 @@ class ScenarioFile(BaseModel):
     evaluate: tuple[Bound, Bound] | None = None
     time: TimeSettings | None = None
     data: DataSettings | None = None
+    online: OnlineSettings = OnlineSettings()
     orbit: dict[str, Any] | None = None
     truth: dict[str, Any] | None = None
     inputs: dict[str, dict[str, Any]] = {}

@@ -7,6 +7,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from relnav_graph.errors import InputError
 from relnav_graph.problem import Problem
 from relnav_graph.registry import find_class
 from relnav_graph.track import Track
@@ -18,7 +19,8 @@ GROUP = "relnav_graph.estimators"
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What every estimator offers; the online ones also have ``step(epoch)``."""
+    """What every estimator offers; those that can be driven online also have
+    ``engine(problem)``, see `relnav_graph.estimators.online`."""
 
     kind: ClassVar[str]
 
@@ -30,8 +32,10 @@ def run_estimator(kind: str, problem: Problem) -> Track:
     """Run an estimator of a kind, or of ``"module:Class"``, on one thread.
 
     Threads only slow the small matrices of an epoch down. Raises ModelError on an unknown
-    kind, EstimationError when no estimate is possible.
+    kind, InputError on a problem without epochs, EstimationError when no estimate is possible.
     """
+    if not problem.epochs:
+        raise InputError("epochs: found none, expected one or more")
     estimator: Estimator = find_class(GROUP, kind)()
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):

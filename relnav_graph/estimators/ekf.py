@@ -208,6 +208,49 @@ def judge(
     return "ok", ""
 
 
+@dataclass(frozen=True, eq=False)
+class KalmanState:
+    """A filter at one epoch; see `relnav_graph.estimators.online.EngineState`."""
+
+    t: float | None
+    x: Array
+    P: Array
+    done: FilterPass | None = None
+
+
+class KalmanEngine:
+    """The filter, driven online."""
+
+    compact = True
+
+    def __init__(self, problem: Problem, iterations: int) -> None:
+        self.problem, self._kalman = problem, KalmanFilter(problem, iterations)
+
+    def begin(self) -> KalmanState:
+        """At the prior, before the first epoch."""
+        return KalmanState(None, self.problem.prior.x, self.problem.prior.P)
+
+    def advance(
+        self, state: KalmanState, epoch: Epoch, assembly: Assembly | None = None
+    ) -> KalmanState:
+        """Predict and update; see `KalmanFilter.step`."""
+        kalman = self._kalman
+        kalman.t, kalman.x, kalman.P = state.t, state.x, state.P
+        done = kalman.step(epoch, assembly)
+        return KalmanState(kalman.t, kalman.x, kalman.P, done)
+
+    def save(self, state: KalmanState) -> dict[str, Array]:
+        """t (NaN before the first epoch), x, P."""
+        return {"t": np.array(np.nan if state.t is None else state.t), "x": state.x, "P": state.P}
+
+    def load(self, arrays: Mapping[str, Array]) -> KalmanState:
+        """The state again."""
+        t = float(arrays["t"])
+        return KalmanState(
+            None if np.isnan(t) else t, np.array(arrays["x"]), np.array(arrays["P"])
+        )
+
+
 def filter_pass(
     problem: Problem, iterations: int, keep: bool = True, seconds: list[float] | None = None
 ) -> FilterPass:
@@ -225,6 +268,10 @@ class Ekf:
 
     kind: ClassVar[str] = "ekf"
     iterations: int = 1
+
+    def engine(self, problem: Problem) -> KalmanEngine:
+        """For use online."""
+        return KalmanEngine(problem, self.iterations)
 
     def run(self, problem: Problem) -> Track:
         """Filter the whole pass."""

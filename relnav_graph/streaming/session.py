@@ -15,7 +15,6 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -189,12 +188,18 @@ class Session:
             )
         if self.header.t is not None and t < self.header.t - SAME_TIME:
             raise InputError(f"late: before the prior, which is of {self.header.t} s")
-        now, start = self.online.t, self.online.window_start
+        now, start = self.online.t, self._window_start
         if isinstance(item, InputSample):
             if now is not None and t <= now + SAME_TIME:
                 raise InputError(f"late: an input of a time before the newest epoch, {now} s")
         elif now is not None and t < start - SAME_TIME:
             raise InputError(f"late: before the window, which begins at {start} s")
+
+    @property
+    def _window_start(self) -> float:
+        """Before this time, s, a measurement is too late."""
+        epochs = self.online.epochs
+        return epochs[0].t if epochs else -np.inf
 
     # --- epochs --------------------------------------------------------------------------
 
@@ -267,9 +272,8 @@ class Session:
         if found is None:
             return []
         for refusal in found.refused:
-            detail = f": {refusal.detail}" if refusal.detail else ""
             for i in refusal.ids:
-                self._reject(refusal.sensor, refusal.t, i, refusal.reason + detail)
+                self._reject(refusal.sensor, refusal.t, i, refusal.reason)
         for buffer in self._inputs.values():
             buffer.drop(found.t)
         return [self._found(found)]
@@ -373,7 +377,7 @@ class Session:
         """Be the session that gave `saved`; for one that has taken in nothing yet."""
         own = _own(saved)
         with np.load(io.BytesIO(saved), allow_pickle=False) as arrays:
-            self.online.restore({k: arrays[k] for k in islice(arrays, 1, None)})
+            self.online.restore({k: arrays[k] for k in arrays if k != "session"})
         self.rejected, self.seq, self.status = own["rejected"], own["seq"], own["status"]
         self.lines, self._heard, self._last = own["lines"], own["heard"], own["last"]
         self._notes, self._fits, self._bridged = own["notes"], set(own["fits"]), own["bridged"]

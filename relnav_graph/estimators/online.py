@@ -1,0 +1,424 @@
+"""Estimators driven online: one epoch at a time, late data put where they belong.
+
+`Online` has the rules that are the same for every estimator: what is refused and counted, in
+which order epochs are taken in, when an estimate is to be trusted. It drives an `Engine`,
+which knows how to estimate and whose state is an immutable value. So a step is a
+transaction: it makes a new state and swaps it in at the very end, and whatever happens
+before (a model that raises, Ctrl-C) leaves the old one, bit for bit. And a late measurement
+goes back to the state before its time and takes in the later epochs again: the same, bit for
+bit, as if it had come in order.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.errors import EstimationError, InputError, LateError, ModelError
+from relnav_graph.estimators import GROUP
+from relnav_graph.estimators.ekf import FilterPass
+from relnav_graph.estimators.health import (
+    DOWNWEIGHTED,
+    REJECTED,
+    USED,
+    Health,
+    Monitor,
+)
+from relnav_graph.estimators.packing import Repeats, held, merged, pack, unpack, without_repeats
+from relnav_graph.models import Measurement
+from relnav_graph.problem import SAME_TIME, Epoch, Problem, check_epoch
+from relnav_graph.registry import find_class
+from relnav_graph.state import Layout
+
+__all__ = ["Engine", "EngineState", "Estimate", "Online", "Refusal", "online"]
+
+Array = NDArray[np.float64]
+
+#: Epochs of the window where the problem gives it no length of time.
+DEFAULT_EPOCHS = 30
+
+
+class EngineState(Protocol):
+    """An estimator at the newest epoch that it has taken in: an immutable value.
+
+    t: its time, None before the first; x (size,), P (n, n); done: what a filter made of
+    that epoch, which tells weights and innovations.
+    """
+
+    @property
+    def t(self) -> float | None: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def P(self) -> Array: ...
+    @property
+    def done(self) -> FilterPass | None: ...
+
+
+class Engine(Protocol):
+    """How an estimator gets from one state to the next.
+
+    compact: whether a state can be saved; else only all its epochs can make it again.
+    """
+
+    compact: bool
+
+    def begin(self) -> Any:
+        """The state before the first epoch."""
+
+    def advance(self, state: Any, epoch: Epoch, assembly: Assembly | None = None) -> Any:
+        """The state with one more epoch. Raises EstimationError or ModelError."""
+
+    def save(self, state: Any) -> dict[str, Array]:
+        """A state as plain arrays."""
+
+    def load(self, arrays: Mapping[str, Array]) -> Any:
+        """The state that `save` made arrays of."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Observations of one sensor and time that were not used, or not fully.
+
+    reason: "gated", "impossible" (at the state: behind the camera), "downweighted" or
+    "duplicate".
+    """
+
+    sensor: str
+    t: float
+    ids: tuple[int, ...]
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The state at the newest epoch: t s, x (size,), P (n, n); whether to trust it, and why
+    not; what was refused of the epochs taken in for it."""
+
+    t: float
+    x: Array
+    P: Array
+    status: Health
+    message: str = ""
+    refused: tuple[Refusal, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """Engine and monitor as they were before an epoch, and the epoch."""
+
+    state: Any
+    monitor: Monitor
+    epoch: Epoch
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """All that changes, swapped as one. past: epochs that left the window, newest first, as
+    nested pairs; None for an engine that can be saved without them."""
+
+    engine: Any
+    monitor: Monitor
+    moments: tuple[_Moment, ...] = ()
+    past: Any = None
+
+
+class Online:
+    """An estimator in service; `online` makes one by its kind.
+
+    problem: models, gates, losses, window, and the prior, which holds at the first epoch;
+    its own epochs are not used. counts: refused before they were taken in, by sensor and
+    reason ("invalid", "late", "duplicate"). For one thread: another one is refused.
+    """
+
+    def __init__(self, problem: Problem, engine: Engine) -> None:
+        self.problem, self.engine = problem, engine
+        self.counts: dict[str, dict[str, int]] = {name: {} for name in problem.sensors}
+        self._owner: int | None = None
+        self._state = _State(engine.begin(), Monitor.of(problem.sensors))
+
+    # --- what it knows ---------------------------------------------------------------------
+
+    @property
+    def layout(self) -> Layout:
+        """Blocks of the state."""
+        return self.problem.layout
+
+    @property
+    def t(self) -> float | None:
+        """Time of the newest epoch, s; None before the first."""
+        t: float | None = self._state.engine.t
+        return t
+
+    @property
+    def x(self) -> Array:
+        """Estimate at the newest epoch (size,)."""
+        x: Array = self._state.engine.x
+        return x
+
+    @property
+    def P(self) -> Array:
+        """Its covariance (n, n)."""
+        P: Array = self._state.engine.P
+        return P
+
+    @property
+    def epochs(self) -> tuple[Epoch, ...]:
+        """Those of the window, which late measurements may still change."""
+        return tuple(m.epoch for m in self._state.moments)
+
+    def health(self, t: float | None = None) -> tuple[Health, str]:
+        """OK, DEGRADED or LOST at time t, s (the newest epoch's), and why."""
+        now = self.t if t is None else t
+        if now is None:
+            return "LOST", "no epoch was taken in yet"
+        return self._state.monitor.health(now)
+
+    @property
+    def totals(self) -> dict[str, dict[str, int]]:
+        """Observations by sensor: used, rejected, downweighted, and the counts."""
+        names = {"used": USED, "rejected": REJECTED, "downweighted": DOWNWEIGHTED}
+        found = {name: self._state.monitor.count(column) for name, column in names.items()}
+        return {
+            sensor: {name: n[sensor] for name, n in found.items()} | self.counts.get(sensor, {})
+            for sensor in self.problem.sensors
+        }
+
+    # --- taking in -------------------------------------------------------------------------
+
+    def admit(
+        self, sensor: str, t: float, z: Any, ids: Any, t_arrival: float | None = None
+    ) -> Measurement:
+        """A measurement, checked against its sensor: known, finite, of its width, with ids
+        and values that it can have. Raises InputError, and counts it as invalid."""
+        try:
+            if sensor not in self.problem.sensors:
+                known = ", ".join(self.problem.sensors)
+                raise InputError(f"unknown sensor {sensor!r}, expected one of: {known}")
+            m = Measurement(sensor, t, z, ids, t_arrival)
+            # Assembled alone: all that the sensor's model has to say against it.
+            self._assemble(Epoch(m.t, (m,)), None)
+        except (InputError, TypeError, ValueError) as error:
+            self._count(sensor, "invalid")
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"sensor {sensor!r} at t = {t} s: {error}") from error
+        return m
+
+    def step(self, epoch: Epoch, assembly: Assembly | None = None) -> Estimate:
+        """Take in an epoch that is not before the newest one; the estimate there.
+
+        One of the same time is merged with it. assembly: of this epoch, where the caller has
+        it already. Raises LateError when it is before the newest (see `insert`), InputError
+        when it is not in order, ModelError when a model breaks its contract,
+        EstimationError when there is no estimate; all is then as before.
+        """
+        self._claim()
+        t = self.t
+        if t is not None and epoch.t <= t + SAME_TIME:
+            if epoch.t < t - SAME_TIME:
+                raise LateError(f"epoch at {epoch.t} s: before the newest one, at {t} s")
+            return self.insert(epoch.measurements)
+        if not np.isfinite(epoch.t):
+            raise InputError(f"epoch: found t = {epoch.t} s, expected a finite time")
+        kept, repeats = without_repeats(epoch)
+        assembly = assembly if kept is epoch else None
+        if assembly is None:
+            check_epoch(self.problem.processes, self.problem.sensors, epoch, t)
+        state, found = self._advance(self._state, kept, assembly)
+        return self._swap(state, repeats, found)
+
+    def insert(self, measurements: Sequence[Measurement]) -> Estimate:
+        """Take in late measurements: the newest estimate, as if they had come in order.
+
+        A time between two epochs makes a new one. Raises LateError, and counts it, on one
+        before the window, InputError on one after the newest epoch; as `step` does
+        otherwise. All is then as before.
+        """
+        self._claim()
+        if not measurements:
+            return self._swap(self._state, [], ())
+        old = self._state
+        for m in measurements:
+            self._check_late(m)
+        first = min(m.t for m in measurements) - SAME_TIME
+        start = next(i for i, moment in enumerate(old.moments) if moment.epoch.t >= first)
+        epochs = [moment.epoch for moment in old.moments[start:]]
+        for m in measurements:
+            epochs = merged(epochs, m)
+        cleaned = [without_repeats(e) for e in epochs]
+        repeats = [r for _, more in cleaned for r in more]
+        if sum(len(ids) for _, _, ids in repeats) == sum(len(m.z) for m in measurements):
+            return self._swap(old, repeats, ())  # nothing new in them
+        moment = old.moments[start]
+        state = _State(moment.state, moment.monitor, old.moments[:start], old.past)
+        found: tuple[Refusal, ...] = ()
+        for epoch, _ in cleaned:
+            state, more = self._advance(state, epoch)
+            found += more
+        return self._swap(state, repeats, found)
+
+    def predict(self, t: float, inputs: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
+        """x (size,) and P (n, n) ahead at time t, s; changes nothing.
+
+        inputs: of each process, since the newest epoch; without, the newest ones go on.
+        Raises InputError on a time before the newest epoch, GeometryError or
+        EstimationError when the state cannot be propagated.
+        """
+        now = self.t
+        if now is None or not np.isfinite(t) or t < now - SAME_TIME:
+            raise InputError(f"predict: found t = {t} s, expected one from {now} s on")
+        if t <= now + SAME_TIME:
+            return self.x, self.P
+        if inputs is None:
+            inputs = held(self.epochs[-1].inputs, self.problem.processes, t - now)
+        x, F, Q = self._assemble(Epoch(t, (), inputs), now).transition(self.x[None])
+        P = F[0] @ self.P @ F[0].T + Q[0]
+        if not (np.isfinite(x).all() and np.isfinite(P).all()):
+            raise EstimationError(f"predict: the state at {t} s is not finite")
+        return x[0], 0.5 * (P + P.T)
+
+    # --- as plain arrays -------------------------------------------------------------------
+
+    def state(self) -> dict[str, Array]:
+        """All that it knows, as plain arrays by name, for `restore`.
+
+        The oldest state of the window and the epochs since; all epochs for an engine whose
+        state cannot be saved.
+        """
+        s, saved = self._state, dict[str, Array]()
+        monitor, epochs = Monitor.of(self.problem.sensors), list(self.epochs)
+        if self.engine.compact and s.moments:
+            saved, monitor = self.engine.save(s.moments[0].state), s.moments[0].monitor
+        past, before = s.past, list[Epoch]()
+        while past is not None:
+            epoch, past = past
+            before.append(epoch)
+        epochs = before[::-1] + epochs
+        out = {f"engine.{name}": array for name, array in saved.items()}
+        out |= {f"epochs.{name}": array for name, array in pack(epochs).items()}
+        out["monitor"] = monitor.table
+        for sensor, counts in self.counts.items():
+            for reason, n in counts.items():
+                out[f"counts.{reason}.{sensor}"] = np.array(float(n))
+        return out
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Be what gave `state`: later estimates are the same, bit for bit, on the same
+        platform. Raises InputError unless it has taken in nothing yet."""
+        self._claim()
+        if self._state.moments:
+            raise InputError("restore: expected an estimator that has taken in nothing yet")
+        own = _under(state, "engine.")
+        engine = self.engine.load(own) if own else self._state.engine
+        new = _State(engine, Monitor.of(self.problem.sensors, np.array(state["monitor"])))
+        for epoch in unpack(_under(state, "epochs.")):
+            new, _ = self._advance(new, epoch)
+        counts: dict[str, dict[str, int]] = {name: {} for name in self.problem.sensors}
+        for key, n in _under(state, "counts.").items():
+            reason, _, sensor = key.partition(".")
+            counts.setdefault(sensor, {})[reason] = int(n)
+        self.counts, self._state = counts, new
+
+    # --- inside ----------------------------------------------------------------------------
+
+    def _claim(self) -> None:
+        """Raise EstimationError in a thread that is not the first one to use it."""
+        here = threading.get_ident()
+        self._owner = here if self._owner is None else self._owner
+        if self._owner != here:
+            raise EstimationError("an estimator serves one thread: make one for each")
+
+    def _assemble(self, epoch: Epoch, t_before: float | None) -> Assembly:
+        p = self.problem
+        return Assembly(p.layout, p.processes, p.sensors, [epoch], t_before)
+
+    def _count(self, sensor: str, reason: str, n: int = 1) -> None:
+        counts = self.counts.setdefault(sensor, {})
+        counts[reason] = counts.get(reason, 0) + n
+
+    def _check_late(self, m: Measurement) -> None:
+        where = f"sensor {m.sensor!r} at t = {m.t} s"
+        if m.sensor not in self.problem.sensors:
+            raise InputError(f"{where}: unknown sensor")
+        if self.t is None or m.t > self.t + SAME_TIME:
+            raise InputError(f"{where}: after the newest epoch, at {self.t} s; expected a late one")
+        begin = self._state.moments[0].epoch.t
+        if m.t < begin - SAME_TIME:
+            self._count(m.sensor, "late", len(m.z))
+            raise LateError(f"{where}: has left the window, which begins at {begin} s")
+
+    def _advance(
+        self, s: _State, epoch: Epoch, assembly: Assembly | None = None
+    ) -> tuple[_State, tuple[Refusal, ...]]:
+        """The state with one more epoch, and what was refused of it."""
+        engine = self.engine.advance(s.engine, epoch, assembly)
+        monitor = s.monitor.after(epoch.t, engine.done)
+        moments, past = (*s.moments, _Moment(s.engine, s.monitor, epoch)), s.past
+        length = self.problem.window
+        gone = len(moments) - DEFAULT_EPOCHS
+        if length is not None:
+            begin = epoch.t - length - SAME_TIME
+            gone = next(i for i, m in enumerate(moments) if m.epoch.t >= begin)
+        if gone > 0:
+            if not self.engine.compact:
+                for m in moments[:gone]:
+                    past = (m.epoch, past)
+            moments = moments[gone:]
+        return _State(engine, monitor, moments, past), _refusals(epoch.t, engine.done)
+
+    def _swap(
+        self, state: _State, repeats: Repeats, found: tuple[Refusal, ...]
+    ) -> Estimate:
+        refused = (*(Refusal(*r, "duplicate") for r in repeats), *found)
+        t = state.engine.t
+        if t is None:
+            raise InputError("no epoch was taken in yet")
+        status, message = state.monitor.health(t)
+        estimate = Estimate(t, state.engine.x, state.engine.P, status, message, refused)
+        self._state = state  # the one assignment that makes it so
+        for sensor, _, ids in repeats:
+            self._count(sensor, "duplicate", len(ids))
+        return estimate
+
+
+def online(kind: str, problem: Problem) -> Online:
+    """An estimator of a kind, to be driven online.
+
+    problem: without epochs, or they are ignored. Raises ModelError when there is none of
+    that kind, or it is for whole passes only.
+    """
+    estimator = find_class(GROUP, kind)()
+    if not hasattr(estimator, "engine"):
+        raise ModelError(f"estimator {kind!r} is for whole passes; it cannot be driven online")
+    return Online(problem, estimator.engine(problem))
+
+
+def _under(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+
+
+def _refusals(t: float, done: FilterPass) -> tuple[Refusal, ...]:
+    """What a filter left out of one epoch, or did not use fully."""
+    weights = done.weights
+    if (weights == 1).all():
+        return ()
+    a = done.assembly
+    status = a.measure(done.x_predicted, np.ones(a.observations)).status
+    reasons = {
+        "impossible": (weights == 0) & (status > 0),
+        "gated": (weights == 0) & (status == 0),
+        "downweighted": (weights > 0) & (weights < 1),
+    }
+    out = []
+    for reason, chosen in reasons.items():
+        for i in np.unique(a.sensor_of[chosen]):
+            ids = tuple(int(n) for n in a.ids[chosen & (a.sensor_of == i)])
+            out.append(Refusal(a.sensor_names[i], t, ids, reason))
+    return tuple(out)

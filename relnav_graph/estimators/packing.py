@@ -1,0 +1,124 @@
+"""Epochs that change after the fact, and epochs as plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.errors import InputError
+from relnav_graph.models import Dynamics, Measurement
+from relnav_graph.problem import SAME_TIME, Epoch
+
+__all__ = ["held", "merged", "pack", "unpack", "without_repeats"]
+
+Array = NDArray[np.float64]
+#: What was left out: sensor, time, ids.
+Repeats = list[tuple[str, float, tuple[int, ...]]]
+
+
+def without_repeats(epoch: Epoch) -> tuple[Epoch, Repeats]:
+    """The epoch without observations that repeat an earlier one of it: the same sensor, id
+    and value; and which those are."""
+    seen: set[tuple[str, int, bytes]] = set()
+    kept, repeats = list[Measurement](), Repeats()
+    for m in epoch.measurements:
+        names = [(m.sensor, int(i), z.tobytes()) for i, z in zip(m.ids, m.z, strict=True)]
+        fresh = np.array([name not in seen for name in names], dtype=bool)
+        first = np.array([names.index(name) == k for k, name in enumerate(names)], dtype=bool)
+        fresh &= first
+        seen.update(names)
+        if not fresh.all():
+            repeats.append((m.sensor, m.t, tuple(int(i) for i in m.ids[~fresh])))
+        if fresh.all() or fresh.any():
+            kept.append(m if fresh.all() else replace(m, z=m.z[fresh], ids=m.ids[fresh]))
+    return (replace(epoch, measurements=tuple(kept)) if repeats else epoch), repeats
+
+
+def split(u: Array, length: float) -> tuple[Array, Array]:
+    """An interval's inputs u (rows, 1 + channels) cut in two after `length` s."""
+    ends = np.cumsum(u[:, 0])
+    starts = ends - u[:, 0]
+    before, after = u[starts < length - SAME_TIME].copy(), u[ends > length + SAME_TIME].copy()
+    before[-1, 0] = length - starts[len(before) - 1]
+    after[0, 0] = ends[len(u) - len(after)] - length
+    return before, after
+
+
+def merged(epochs: Sequence[Epoch], m: Measurement) -> list[Epoch]:
+    """Epochs in order with one more measurement, not after the last of them: it joins the
+    epoch of its time, or makes one and cuts the interval there."""
+    out = list(epochs)
+    k = next(i for i, e in enumerate(out) if e.t >= m.t - SAME_TIME)
+    if abs(out[k].t - m.t) <= SAME_TIME:
+        out[k] = replace(out[k], measurements=(*out[k].measurements, m))
+        return out
+    length = {name: float(u[:, 0].sum()) for name, u in out[k].inputs.items()}
+    halves = {
+        name: split(u, length[name] - (out[k].t - m.t)) for name, u in out[k].inputs.items()
+    }
+    out[k : k + 1] = [
+        Epoch(m.t, (m,), {name: a for name, (a, _) in halves.items()}),
+        replace(out[k], inputs={name: b for name, (_, b) in halves.items()}),
+    ]
+    return out
+
+
+def held(
+    last: Mapping[str, Array], processes: Mapping[str, Dynamics], length: float
+) -> dict[str, Array]:
+    """Inputs over `length` s for every process: the last ones go on.
+
+    Raises InputError when a process has inputs and none was seen yet.
+    """
+    out = {}
+    for name, process in processes.items():
+        channels = sum(len(columns) for columns in process.inputs.values())
+        if name in last:
+            out[name] = np.array([[length, *last[name][-1, 1:]]])
+        elif channels:
+            raise InputError(f"process {name!r} ({process.kind}): no input was seen yet to hold")
+        else:
+            out[name] = np.array([[length]])
+    return out
+
+
+def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
+    """Epochs as plain arrays, by name; `unpack` gives the same again."""
+    out = {"times": np.array([e.t for e in epochs])}
+    for k, epoch in enumerate(epochs):
+        for j, m in enumerate(epoch.measurements):
+            name = f"{k}.z.{j}.{m.sensor}"
+            arrival = np.nan if m.t_arrival is None else m.t_arrival
+            out[name] = m.z
+            out[f"{k}.ids.{j}.{m.sensor}"] = m.ids.astype(np.float64)
+            out[f"{k}.stamps.{j}.{m.sensor}"] = np.array([m.t, arrival])
+        for process, u in epoch.inputs.items():
+            out[f"{k}.u.{process}"] = np.asarray(u, dtype=np.float64)
+    return out
+
+
+def unpack(arrays: Mapping[str, Array]) -> list[Epoch]:
+    """The epochs that `pack` made arrays of."""
+    measurements: dict[int, dict[int, Measurement]] = {}
+    inputs: dict[int, dict[str, Array]] = {}
+    for key, value in arrays.items():
+        parts = key.split(".", 3)
+        if len(parts) > 2 and parts[1] == "z":
+            rest = f"{parts[2]}.{parts[3]}"
+            t, arrival = arrays[f"{parts[0]}.stamps.{rest}"]
+            ids = arrays[f"{parts[0]}.ids.{rest}"].astype(np.int64)
+            m = Measurement(
+                parts[3], float(t), value, ids, None if np.isnan(arrival) else float(arrival)
+            )
+            measurements.setdefault(int(parts[0]), {})[int(parts[2])] = m
+        elif len(parts) > 2 and parts[1] == "u":
+            name = key.split(".", 2)[2]
+            inputs.setdefault(int(parts[0]), {})[name] = value
+    epochs = []
+    for k, t in enumerate(arrays["times"]):
+        own = measurements.get(k, {})
+        epochs.append(Epoch(float(t), tuple(own[j] for j in sorted(own)), inputs.get(k, {})))
+    return epochs
