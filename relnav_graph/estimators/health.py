@@ -130,9 +130,11 @@ def _alarms(row: Array, rows: int, t: float) -> Sequence[str]:
         spread = WEIGHT / (2 - WEIGHT) * (1 - (1 - WEIGHT) ** (2 * row[SAMPLES]))
         shift = float(row[MEAN : MEAN + rows] @ row[MEAN : MEAN + rows]) / spread
         if shift > chdtri(rows, FALSE_ALARM):
-            found.append(f"its innovations are biased by {np.sqrt(shift * spread) / share:.3g} sigma")
+            mean = np.sqrt(shift * spread) / share
+            found.append(f"its innovations are biased by {mean:.3g} sigma")
         if row[SQUARES] / share > TRUSTED:
-            found.append(f"squared innovations are {row[SQUARES] / share:.3g} times their covariance")
+            squares = row[SQUARES] / share
+            found.append(f"squared innovations are {squares:.3g} times their covariance")
     if row[OUT] > LEFT_OUT:
         found.append(f"{row[OUT]:.0%} of its newest observations left out")
     return found

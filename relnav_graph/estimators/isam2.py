@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import gtsam
@@ -24,7 +25,7 @@ from relnav_graph.assembly import Assembly
 from relnav_graph.chain import epoch_factor, interval_factor
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter, judge
+from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
 from relnav_graph.estimators.gating import count_rejected
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.sweep import Anchor, Conditionals
@@ -66,102 +67,145 @@ class _Settled:
     conditionals: Conditionals
 
 
+#: What went into a tree, key by key.
+_Log = tuple[tuple[int, list[gtsam.JacobianFactor]], ...]
+_SPOILT: _Log = ((-1, []),)
+
+
+@dataclass(frozen=True, eq=False)
+class SmootherState:
+    """The smoother at one epoch, all but its tree, which the log makes again.
+
+    count: epochs taken in; assemblies, weights: adjoining parts, the past, then by epoch;
+    references: of the tree's epochs, the newest ones; due: number of epochs at which the
+    whole is relinearised next; done: the filter's part in the newest epoch.
+    """
+
+    t: float | None
+    x: Array
+    P: Array
+    count: int = 0
+    assemblies: tuple[Assembly, ...] = ()
+    weights: tuple[Array, ...] = ()
+    settled: tuple[_Settled, ...] = ()
+    references: tuple[Array, ...] = ()
+    log: _Log = ()
+    due: int = 1
+    done: FilterPass | None = None
+
+
 class IncrementalSmoother:
     """One `step` per epoch; `finish` gives the whole smoothed trajectory.
 
-    x (size,) and P (n, n): the estimate at the newest epoch.
+    state: where it stands, an immutable value: to set it is to go back there.
     """
 
     def __init__(self, problem: Problem, ratio: float) -> None:
         self.problem, self.ratio = problem, ratio
-        self.epochs: list[Epoch] = []
+        self.state = SmootherState(None, problem.prior.x, problem.prior.P)
         self._kalman = KalmanFilter(problem, ITERATIONS)
-        self._assemblies: list[Assembly] = []  # adjoining parts: the past, then by epoch
-        self._weights: list[Array] = []  # of the observations of each part
-        self._settled: list[_Settled] = []
-        self._references: list[Array] = []  # of the tree's epochs, the newest ones
-        self._tree = _new_tree()
-        self._relinearize_at = 1
+        self._tree, self._tree_log = _new_tree(), self.state.log
 
     @property
     def x(self) -> Array:
         """The estimate at the newest epoch (size,)."""
-        return self._kalman.x
+        return self.state.x
 
     @property
     def P(self) -> Array:
         """Its covariance (n, n)."""
-        return self._kalman.P
+        return self.state.P
 
     def step(self, epoch: Epoch, assembly: Assembly | None = None) -> tuple[Array, Array]:
         """Take in one epoch; the estimate there, x (size,) and P (n, n).
 
         assembly: of this epoch, where the caller has it already.
         Raises EstimationError when the state cannot be propagated or updated, or is not
-        determined or not finite; the epoch then counts as not taken in.
+        determined or not finite; the smoother is then as it was before.
         """
-        kalman = self._kalman
-        before = kalman.t, kalman.x, kalman.P
-        kept = len(self.epochs), len(self._assemblies), len(self._references)
+        before = self.state
         try:
             self._step(epoch, assembly)
-        except Exception as error:
-            # An update that failed leaves the tree unusable: the next step builds it anew.
-            kalman.t, kalman.x, kalman.P = before
-            del self.epochs[kept[0] :], self._assemblies[kept[1] :], self._weights[kept[1] :]
-            del self._references[kept[2] :]
-            self._tree, self._relinearize_at = _new_tree(), 0
+        except BaseException as error:  # Ctrl-C too
+            self.state = before
             if isinstance(error, np.linalg.LinAlgError):
                 raise EstimationError(f"t = {epoch.t} s: {error}") from error
             raise
         return self.x, self.P
 
     def _step(self, epoch: Epoch, assembly: Assembly | None) -> None:
-        problem, before, t_before = self.problem, self.x, self._kalman.t
+        problem, s, kalman = self.problem, self.state, self._kalman
         if assembly is None:
             layout, models = problem.layout, (problem.processes, problem.sensors)
-            assembly = Assembly(layout, *models, [epoch], t_before)
+            assembly = Assembly(layout, *models, [epoch], s.t)
         # The reference: where an iterated filter goes from here.
-        done = self._kalman.step(epoch, assembly)
-        self.epochs.append(epoch)
-        self._assemblies.append(assembly)
-        self._weights.append(done.weights)
-        self._references.append(self.x)
-        if len(self.epochs) >= self._relinearize_at:
+        kalman.t, kalman.x, kalman.P = s.t, s.x, s.P
+        done = kalman.step(epoch, assembly)
+        self.state = replace(
+            s,
+            t=epoch.t,
+            x=kalman.x,
+            P=kalman.P,
+            count=s.count + 1,
+            assemblies=(*s.assemblies, assembly),
+            weights=(*s.weights, done.weights),
+            references=(*s.references, kalman.x),
+            done=done,
+        )
+        if self.state.count >= s.due:
             self._relinearize(self._trajectory(self.x), 0.1)
-            self._relinearize_at = max(
-                len(self.epochs) + 1, math.ceil(self.ratio * len(self.epochs))
-            )
+            count = self.state.count
+            due = max(count + 1, math.ceil(self.ratio * count))
+            self.state = replace(self.state, due=due)
             return
-        self._extend(assembly, before, assembly.whitening(done.Q), done.weights)
-        if len(self._references) > WINDOW:
+        self._extend(assembly, s.x, assembly.whitening(done.Q), done.weights)
+        if len(self.state.references) > WINDOW:
             self._compact()
 
     def _take(self, x: Array, P: Array) -> None:
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
-            raise EstimationError(f"t = {self.epochs[-1].t} s: the estimate is not finite")
-        self._kalman.x, self._kalman.P = x, P
+            raise EstimationError(f"t = {self.state.t} s: the estimate is not finite")
+        self.state = replace(self.state, x=x, P=P)
+
+    def _tree_of(self, log: _Log) -> gtsam.ISAM2:
+        """The tree of a log. One that another step has grown or spoilt is built anew, key by
+        key, which gives the same numbers."""
+        if self._tree_log is not log:
+            self._tree, self._tree_log = _new_tree(), log
+            for key, factors in log:
+                _insert(self._tree, factors, key, self.problem.layout.dim)
+        return self._tree
+
+    def _grow(self, key: int, factors: list[gtsam.JacobianFactor]) -> gtsam.ISAM2:
+        """The tree with a new key."""
+        log = self.state.log
+        tree, self._tree_log = self._tree_of(log), _SPOILT
+        _insert(tree, factors, key, self.problem.layout.dim)
+        self._tree_log = (*log, (key, factors))
+        self.state = replace(self.state, log=self._tree_log)
+        return tree
 
     def _extend(self, assembly: Assembly, before: Array, whiten: Array, weights: Array) -> None:
         """Add the newest epoch to the tree, linearised at its reference; before (size,):
         the estimate at the epoch before."""
-        layout, key = self.problem.layout, len(self.epochs) - 1
-        x = self._references[-1]
+        layout, key = self.problem.layout, self.state.count - 1
+        x = self.state.references[-1]
         process = assembly.process(np.array([before, x]), whiten)
         # The older end is linearised at its latest estimate, reference (+) d; the tree's
         # variable is a perturbation of the reference: the chain rule of the retraction.
-        d = layout.local(self._references[-2], before)
+        d = layout.local(self.state.references[-2], before)
         A = process.A[0] @ layout.right_jacobian(d)
         factors = [interval_factor(key - 1, A, process.B[0], process.e[0] - A @ d)]
         if weights.any():
             rows = assembly.measure(x[None], weights)
             factors.append(epoch_factor(key, rows.H, rows.r))
         try:
-            _insert(self._tree, factors, key, layout.dim)
-            d = self._tree.calculateEstimateVector(key)
-            P = self._tree.marginalCovariance(key)
+            tree = self._grow(key, factors)
+            d, P = tree.calculateEstimateVector(key), tree.marginalCovariance(key)
         except RuntimeError as error:
-            raise EstimationError(f"iSAM2 at epoch {key}: {str(error)[:200]}") from error
+            raise EstimationError(
+                f"t = {self.state.t} s: iSAM2 at epoch {key}: {str(error)[:200]}"
+            ) from error
         J = layout.right_jacobian(d)
         P = J @ P @ J.T
         self._take(layout.retract(x, d), 0.5 * (P + P.T))
@@ -169,10 +213,10 @@ class IncrementalSmoother:
     def _in_tree(self, newest: Array) -> Array:
         """Today's estimate of the tree's epochs: references moved by the tree; newest
         (size,): that of the last one, which may not be in it yet."""
-        layout, out = self.problem.layout, np.array(self._references)
-        first = len(self.epochs) - len(out)
-        if not self._tree.empty():
-            best = self._tree.calculateBestEstimate()
+        layout, out = self.problem.layout, np.array(self.state.references)
+        first = self.state.count - len(out)
+        if self.state.log:
+            best = self._tree_of(self.state.log).calculateBestEstimate()
             for k in range(len(out) - 1):
                 out[k] = layout.retract(out[k], best.atVector(first + k))
         out[-1] = newest
@@ -182,7 +226,7 @@ class IncrementalSmoother:
         """Today's estimate of all epochs (N, size): behind the tree, the conditionals of
         what has left it carry its news back."""
         layout, parts = self.problem.layout, [self._in_tree(newest)]
-        for part in reversed(self._settled):  # each ends where the next one begins
+        for part in reversed(self.state.settled):  # each ends where the next one begins
             end = layout.local(part.x[-1], parts[-1][0])
             parts.append(layout.retract(part.x, part.conditionals.solution(end))[:-1])
         return np.concatenate(parts[::-1])
@@ -193,22 +237,25 @@ class IncrementalSmoother:
         R = solution.conditionals.R[-1]
         inverse = np.linalg.inv(R)
         self._take(solution.x[-1], inverse @ inverse.T)
-        self._settled.append(_Settled(solution.x, solution.conditionals))
-        self._assemblies[-parts:] = [assembly]
-        self._weights[-parts:] = [solution.weights]
-        self._references = [self.x]
-        self._tree = _new_tree()
-        key = len(self.epochs) - 1
-        summary = epoch_factor(key, R, -solution.conditionals.d[-1])
-        _insert(self._tree, [summary], key, len(R))
+        s, key = self.state, self.state.count - 1
+        self.state = replace(
+            s,
+            settled=(*s.settled, _Settled(solution.x, solution.conditionals)),
+            assemblies=(*s.assemblies[:-parts], assembly),
+            weights=(*s.weights[:-parts], solution.weights),
+            references=(self.x,),
+            log=(),
+        )
+        self._grow(key, [epoch_factor(key, R, -solution.conditionals.d[-1])])
 
     def _compact(self) -> None:
         """The tree's epochs leave it, relinearised among themselves for the last time
         before the whole history is."""
-        parts = len(self._references) - 1  # the first one's measurements are in the summary
-        assembly = Assembly.join(self._assemblies[-parts:])
-        weights = np.concatenate(self._weights[-parts:])
-        settled, x = self._settled[-1], self._in_tree(self.x)
+        s = self.state
+        parts = len(s.references) - 1  # the first one's measurements are in the summary
+        assembly = Assembly.join(s.assemblies[-parts:])
+        weights = np.concatenate(s.weights[-parts:])
+        settled, x = s.settled[-1], self._in_tree(self.x)
         c = settled.conditionals
         summary = Anchor(settled.x[-1], c.R[-1], c.d[-1])
         solution = solve(assembly.preceded(), summary, x, weights, tolerance=0.1)
@@ -216,20 +263,41 @@ class IncrementalSmoother:
 
     def _relinearize(self, x: Array, tolerance: float) -> tuple[Assembly, Solution]:
         """Gauss-Newton over the whole history from x, and a new tree at its result."""
-        assembly = Assembly.join(self._assemblies)
-        weights = np.concatenate(self._weights)
+        assembly = Assembly.join(self.state.assemblies)
+        weights = np.concatenate(self.state.weights)
         solution = solve_gated(assembly, self.problem, x, weights, tolerance)
-        before, self._settled = self._settled, []
-        try:
-            self._settle(solution, len(self._assemblies), assembly)
-        except EstimationError:
-            self._settled = before
-            raise
+        self.state = replace(self.state, settled=())
+        self._settle(solution, len(self.state.assemblies), assembly)
         return assembly, solution
 
     def finish(self) -> tuple[Assembly, Solution]:
         """Relinearise once more, to convergence: the whole trajectory, smoothed."""
         return self._relinearize(self._trajectory(self.x), 1e-3)
+
+    # --- as an engine of `relnav_graph.estimators.online` ------------------------------------
+
+    #: Its state is the whole history: only the epochs can make it again.
+    compact: ClassVar[bool] = False
+
+    def begin(self) -> SmootherState:
+        """At the prior, before the first epoch."""
+        return SmootherState(None, self.problem.prior.x, self.problem.prior.P)
+
+    def advance(
+        self, state: SmootherState, epoch: Epoch, assembly: Assembly | None = None
+    ) -> SmootherState:
+        """The state with one more epoch; see `step`."""
+        self.state = state
+        self.step(epoch, assembly)
+        return self.state
+
+    def save(self, state: SmootherState) -> dict[str, Array]:
+        """Nothing: see `compact`."""
+        return {}
+
+    def load(self, arrays: Mapping[str, Array]) -> SmootherState:
+        """The state of nothing."""
+        return self.begin()
 
 
 @dataclass(frozen=True)
@@ -242,6 +310,10 @@ class Isam2:
 
     kind: ClassVar[str] = "isam2"
     ratio: float = 1.3
+
+    def engine(self, problem: Problem) -> IncrementalSmoother:
+        """For use online."""
+        return IncrementalSmoother(problem, self.ratio)
 
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
