@@ -12,7 +12,7 @@ import click
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph.commands import show_events, show_progress
+from relnav_graph.commands import check_before_work, show_events, show_progress
 from relnav_graph.estimators.online import online
 from relnav_graph.io.lines import Header, header_of, prior_values
 from relnav_graph.scenario import Scenario, load_scenario
@@ -29,7 +29,7 @@ from relnav_graph.streaming.sources import Source, open_source
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("--from", "where", default="-", help="File, - (default), or tcp:PORT (loopback).")
 @click.option("--follow", is_flag=True, help="Wait at the end of a file for more.")
-@click.option("--for", "patience", type=float, help="With --follow: wait so many s at most.")
+@click.option("--for", "ends", type=float, help="With --follow: wait so many s at most.")
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), help="File instead of standard output."
 )
@@ -44,6 +44,7 @@ from relnav_graph.streaming.sources import Source, open_source
 @click.option("--snapshot-every", type=click.IntRange(1), default=1000, show_default=True)
 @click.option("--predict-to-now", is_flag=True, help="Add the state at the newest time heard of.")
 @click.option("--max-gap", type=float, default=3600.0, show_default=True, help="Between times, s.")
+@click.option("--patience", type=float, help="Wait for inputs, s; default: the window.")
 @click.option("--settle", type=float, default=0.02, show_default=True, help="Pause, s.")
 @click.option("--allow-rejects", is_flag=True, help="Exit with 0 even if lines were refused.")
 def command(
@@ -52,13 +53,14 @@ def command(
     assignments: tuple[str, ...],
     where: str,
     follow: bool,
-    patience: float | None,
+    ends: float | None,
     out: Path | None,
     folder: Path | None,
     policy: Policy,
     snapshot_every: int,
     predict_to_now: bool,
     max_gap: float,
+    patience: float | None,
     settle: float,
     allow_rejects: bool,
 ) -> int:
@@ -73,15 +75,16 @@ def command(
     estimate is not to be trusted; 130 and 143 ended by Ctrl-C and SIGTERM.
     """
     show_events()
+    check_before_work((kind,), None)
     raw = load_scenario(scenario, assignments).raw  # before anything waits: its errors
     digest = hashlib.sha256(json.dumps(raw, sort_keys=True, default=str).encode())
     identity = {"scenario": scenario.stem, "sha256": digest.hexdigest(), "estimator": kind}
-    options = Options(max_gap, predict_to_now=predict_to_now)
+    options = Options(max_gap, patience, predict_to_now)
     interrupts = Interrupts()
     with interrupts.installed(), ExitStack() as stack:
         try:
             journal = None if folder is None else stack.enter_context(Journal(folder, policy))
-            source = open_source(where, settle, follow, patience, interrupts)
+            source = open_source(where, settle, follow, ends, interrupts)
             incoming = source.lines()
             header, first = _opening(journal, incoming)
             session = _session(
@@ -98,6 +101,9 @@ def command(
         except Interrupted as stop:
             show_progress(f"ended by {stop}" + ("" if folder is None else "; the journal is whole"))
             return 128 + stop.number
+        except BrokenPipeError:
+            show_progress("the reader of the output has left")
+            return 3
     return _verdict(session, recorder, allow_rejects)
 
 

@@ -42,6 +42,7 @@ __all__ = ["Options", "Parsed", "Session", "header_in"]
 Array = NDArray[np.float64]
 Item = Header | Measurement | InputSample | Tick | LineError
 Output = dict[str, Any]
+PATIENCE = 30.0
 
 
 @dataclass(frozen=True)
@@ -50,12 +51,13 @@ class Options:
 
     max_gap: a line whose time is further than this, s, from the newest one heard of is of
     another clock; patience: how long, s of the stream's time, a measurement waits for
-    inputs before a gap in them is bridged; predict_to_now: add the state at the newest time
+    inputs before a gap in them is bridged, None for the window's length, or `PATIENCE`
+    without one; predict_to_now: add the state at the newest time
     heard of.
     """
 
     max_gap: float = 3600.0
-    patience: float = 30.0
+    patience: float | None = None
     predict_to_now: bool = False
 
 
@@ -80,6 +82,7 @@ class Session:
         self.seq = 0
         self.status = "LOST"
         self.lines = 0
+        self._patience = options.patience or problem.window or PATIENCE
         self._derived = derived_quantities(problem.layout)
         self._waiting = Waiting()
         self._inputs = {name: InputBuffer(name) for name in self.columns}
@@ -131,13 +134,12 @@ class Session:
     def end(self) -> list[Output]:
         """The end of the stream: refuse what still waits; the last line, if anything is left
         to say."""
+        status, message = self.status, "the end of the stream"
         for epoch in self._waiting.epochs:
-            self._refuse(epoch, self._lacking(epoch.t))
+            status, message = "LOST", self._lacking(epoch.t)
+            self._refuse(epoch, message)
         self._waiting.epochs.clear()
-        if not self._notes:
-            return []
-        status, message = self.online.health()
-        return [self._line(self.online.t, status, message, None)]
+        return [self._line(self.online.t, status, message, None)] if self._notes else []
 
     def _reject(self, sensor: str | None, t: float | None, id: int | None, reason: str) -> None:
         counts = self.rejected.setdefault(sensor or "(unnamed)", {})
@@ -212,12 +214,11 @@ class Session:
                 break
             now = self.online.t
             if now is not None and epoch.t > now and self._lacking(epoch.t):
-                if self._heard - epoch.t <= self.options.patience:
+                if self._heard - epoch.t <= self._patience:
                     break
                 if not self._bridge(epoch.t):
                     self._refuse(self._waiting.epochs.pop(0), self._lacking(epoch.t))
-                    status = "LOST", "no inputs: the state cannot be carried on"
-                    out.append(self._line(epoch.t, *status, None))
+                    out.append(self._line(epoch.t, "LOST", self._lacking(epoch.t), None))
                     continue
             self._waiting.epochs.pop(0)
             out += self._estimate(epoch)
@@ -304,7 +305,7 @@ class Session:
 
     def _found(self, found: Estimate) -> Output:
         status, message = found.status, found.message
-        if status == "OK" and found.t <= self._bridged + self.options.patience:
+        if status == "OK" and found.t <= self._bridged + self._patience:
             status, message = "DEGRADED", f"the inputs had a gap until {self._bridged} s"
         return self._line(found.t, status, message, (found.x, found.P))
 
