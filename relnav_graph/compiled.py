@@ -71,7 +71,7 @@ DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MAT
 #: Modules of this package that compiled code may call or take constants from.
 _LOWER_FLOORS = (
     *("backward", "compiled", "constants", "filtering", "loops"),
-    *("matrices", "orbit", "so3", "state", "sweep", "updating"),
+    *("matrices", "orbit", "robust", "so3", "state", "sweep", "updating"),
 )
 
 

@@ -17,7 +17,8 @@ from relnav_graph.loops import (
     propagate,
 )
 from relnav_graph.matrices import cholesky, sandwich, solve_lower
-from relnav_graph.updating import copy, innovation_covariance, sum_of_squares, update
+from relnav_graph.robust import root_weight
+from relnav_graph.updating import copy, innovation_covariance, robust_update, sum_of_squares
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
 
@@ -39,12 +40,18 @@ def _gate(
     S: Array,
     r: Array,
     limit: Array,
+    losses: Array,
     first: int,
     weight: Array,
+    squares: Array,
 ) -> None:
-    """Leave out the observations whose innovation is beyond their limit, each on its own."""
+    """Leave out the observations whose innovation is beyond their limit, each on its own.
+
+    squares: gets the mean squares of the normalised innovations, where limit or loss want
+    them.
+    """
     for i in range(weight.shape[0]):
-        if weight[i] == 0.0 or not np.isfinite(limit[i]):
+        if weight[i] == 0.0 or not (np.isfinite(limit[i]) or losses[i, 0] != 0.0):
             continue
         start = observations[first + i, ROW] - observations[first, ROW]
         rows = sensors[observations[first + i, SENSOR], ROWS]
@@ -56,13 +63,15 @@ def _gate(
         weight[i] = 0.0
         if cholesky(own):
             solve_lower(own, v)
-            if sum_of_squares(v[:, 0]) <= limit[i]:
+            total = sum_of_squares(v[:, 0])
+            squares[i] = total / rows
+            if total <= limit[i]:
                 weight[i] = 1.0
 
 
 @jit_as(
     *TABLES,
-    *(INDICES, INDICES, INDEX_MATRIX, VECTOR, types.int64, types.int64, types.int64),
+    *(INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX, types.int64, types.int64, types.int64),
     *(VECTOR, MATRIX, MATRIX, STACK, STACK, STACK),
     *(MATRIX, STACK, VECTOR, VECTOR, INDICES, INDICES),
 )
@@ -78,6 +87,7 @@ def filter_epochs(
     row_offsets: Indices,
     kinds: Indices,
     limit: Array,
+    losses: Array,
     iterations: int,
     begin: int,
     end: int,
@@ -97,14 +107,17 @@ def filter_epochs(
     """Predict to each epoch from `begin` to `end` and update with what it measured.
 
     x_before (size,), P_before (n, n): the state that the first of them starts from. limit:
-    of the gate, for each observation. Fills, by epoch, predictions, F and Q (which may have
+    of the gate, for each observation; losses (observations, 2): robust ones. Fills, by epoch, predictions, F and Q (which may have
     room for one epoch only, then the last one's), x, P, nis and used (squared normalised
-    innovation of the rows used, and their number); by observation, weight (1, or 0 for one
-    left out). failure (4,): what stopped it, process or observation, status, epoch.
+    innovation of the rows used, and their number); by observation, weight (the square root
+    of a robust one, 0 for one left out). failure (4,): what stopped it, process or observation, status, epoch.
     """
     lag = epoch_offsets.shape[0] - 1 - starts.shape[0]
     xk, Pk = x_before.copy(), P_before.copy()
-    n = Pk.shape[0]
+    n, most = Pk.shape[0], 0
+    for k in range(begin, end):
+        most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
+    squares = np.zeros(most)
     for k in range(begin, end):
         slot = k % F.shape[0]
         failure[3] = k
@@ -150,13 +163,15 @@ def filter_epochs(
                 xk,
                 Pk,
                 limit[first:last],
+                losses[first:last],
                 weight[first:last],
+                squares[: last - first],
                 stop - start,
                 nis[k : k + 1],
                 used[k : k + 1],
                 failure,
             )
-            if failure[0] == 0 and not update(
+            if failure[0] == 0 and not robust_update(
                 sensors,
                 observations,
                 places,
@@ -167,6 +182,8 @@ def filter_epochs(
                 last,
                 stop - start,
                 iterations,
+                losses[first:last],
+                squares[: last - first],
                 weight[first:last],
                 xk,
                 Pk,
@@ -199,7 +216,9 @@ def _measured_epoch(
     x: Array,
     P: Array,
     limit: Array,
+    losses: Array,
     weight: Array,
+    squares: Array,
     rows: int,
     nis: Array,
     used: Indices,
@@ -219,13 +238,16 @@ def _measured_epoch(
             return
         weight[i] = 1.0 if status[i] == 0 else 0.0
     innovation_covariance(H, P, HP, S)
-    _gate(observations, sensors, S, r, limit, first, weight)
+    _gate(observations, sensors, S, r, limit, losses, first, weight, squares)
     # Rows that are not used stand aside: zero innovation, unit variance, no correlation.
     for i in range(last - first):
         start = observations[first + i, ROW] - observations[first, ROW]
         count = sensors[observations[first + i, SENSOR], ROWS]
         if weight[i] != 0.0:
             used[0] += count
+            if losses[i, 0] != 0.0:  # the misfit counts as far as the loss lets it
+                for a in range(start, start + count):
+                    r[a] *= root_weight(losses[i, 0], losses[i, 1], squares[i])
             continue
         for a in range(start, start + count):
             r[a] = 0.0

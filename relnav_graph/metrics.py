@@ -215,6 +215,7 @@ def _row(track: Track, s: Score) -> dict[str, Any]:
         "anees": s.anees,
         "anees_band": s.anees_band,
         "rejected": {sensor: int(n) for sensor, n in track.rejected.items()},
+        "downweighted": {sensor: int(n) for sensor, n in track.downweighted.items()},
         "states": {name: _state_row(state) for name, state in s.states.items()},
     }
 

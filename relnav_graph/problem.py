@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.models import Dynamics, Measurement, Sensor, check_inputs
+from relnav_graph.robust import Loss
 from relnav_graph.state import Layout
 
 __all__ = ["Epoch", "InputSeries", "Prior", "Problem", "make_epochs"]
@@ -149,7 +150,7 @@ class Problem:
     """Models, prior and data of one pass.
 
     processes, sensors: models by name; gates: probability of the chi-square gate by
-    sensor, where one is asked for; window: of a fixed-lag smoother and for late data
+    sensor, where one is asked for; losses: robust ones, likewise; window: of a fixed-lag smoother and for late data
     online, s, None for a number of epochs. Without epochs it is one to be driven online:
     they come later. Raises ModelError when a block is advanced by no
     process or by two, InputError when times do not increase or a sensor is unknown.
@@ -161,10 +162,11 @@ class Problem:
     epochs: tuple[Epoch, ...]
     gates: Mapping[str, float] = field(default_factory=dict)
     window: float | None = None
+    losses: Mapping[str, Loss] = field(default_factory=dict)
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("processes", "sensors", "gates"):
+        for name in ("processes", "sensors", "gates", "losses"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         object.__setattr__(self, "epochs", tuple(self.epochs))
         object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))

@@ -20,6 +20,7 @@ from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Epoch, Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
+from relnav_graph.robust import Loss
 from relnav_graph.settings import (
     MISSING,
     BlockPrior,
@@ -64,6 +65,12 @@ class Scenario:
         return {name: o.gate for name, o in self.options.items() if o.gate is not None}
 
     @property
+    def losses(self) -> dict[str, Loss]:
+        """Robust loss of each sensor that has one."""
+        found = self.options.items()
+        return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
+
+    @property
     def input_columns(self) -> dict[str, tuple[str, ...]]:
         """Inputs that the processes need: the columns of each, by name."""
         return {k: v for p in self.processes.values() for k, v in p.inputs.items()}
@@ -98,7 +105,7 @@ class Scenario:
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
                     f" of time.step, {self.file.time.step} s"
                 )
-        timings = {name: sim.Timing(o.period) for name, o in self.options.items()}
+        timings = {name: o.timing() for name, o in self.options.items()}
         times = self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
         return sim.simulate(
             self.truth, self.inputs, self.processes, self.sensors, timings, times, seed, run
@@ -122,8 +129,8 @@ class Scenario:
 
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""
-        window = self.file.online.window
-        return Problem(self.processes, self.sensors, prior, tuple(epochs), self.gates, window)
+        models, options = (self.processes, self.sensors), (self.gates, self.file.online.window)
+        return Problem(*models, prior, tuple(epochs), *options, self.losses)
 
     def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
         """The prior at time t, s, drawn about the truth where it has no mean.

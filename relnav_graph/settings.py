@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, 
 from relnav_graph import models, sim
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.registry import classes, find_class
+from relnav_graph.robust import LossKind
 from relnav_graph.units import Quantity, parse_quantity
 
 __all__ = [
@@ -76,14 +77,34 @@ class DataSettings(BaseModel):
     options: dict[str, Any] = {}
 
 
+class OutlierSettings(BaseModel):
+    """Simulated outliers: `fraction` of the observations, with errors of `size` sigmas, each
+    in a direction drawn at random."""
+
+    model_config = _STRICT
+
+    fraction: float = Field(gt=0, lt=1)
+    size: float = Field(gt=0)
+
+
 class SensorOptions(BaseModel):
     """Of a sensor, what belongs to no model: `gate`, the probability of the chi-square
-    gate on each observation, and `period`, how often it measures in simulation."""
+    gate on each observation, `loss`, robust, with its `tuning` constant in sigmas; in
+    simulation `period`, how often it measures, and `outliers`."""
 
     model_config = _STRICT
 
     gate: float | None = Field(default=None, gt=0, lt=1)
+    loss: LossKind | None = None
+    tuning: float | None = Field(default=None, gt=0)
     period: Seconds | None = None
+    outliers: OutlierSettings | None = None
+
+    def timing(self) -> sim.Timing:
+        """What the simulator needs to know."""
+        if self.outliers is None:
+            return sim.Timing(self.period)
+        return sim.Timing(self.period, self.outliers.fraction, self.outliers.size)
 
 
 class OnlineSettings(BaseModel):

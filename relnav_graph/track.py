@@ -51,7 +51,8 @@ class Track:
     kind: what each epoch's estimate has seen: the past (filtered), a little of the future
     (fixed-lag), everything (smoothed). t (N,) s; x (N, size) stored vectors; P (N, dim,
     dim) covariances of the right perturbation, in the layout's order. status and message:
-    whether to trust it; rejected: observations not used, by sensor; step_s: time of each
+    whether to trust it; rejected: observations not used, by sensor; downweighted: those that
+    a robust loss lets count for less; step_s: time of each
     online step, s; smoothed: for an online estimator, the track that it ends with;
     innovations: of a filter, by sensor.
     """
@@ -67,6 +68,7 @@ class Track:
     runtime_s: float = 0.0
     step_s: Array | None = None
     rejected: Mapping[str, int] = field(default_factory=dict)
+    downweighted: Mapping[str, int] = field(default_factory=dict)
     smoothed: Track | None = None
     innovations: Mapping[str, Innovations] = field(default_factory=dict)
 

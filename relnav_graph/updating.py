@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
-from relnav_graph.loops import observe
+from relnav_graph.loops import ROW, ROWS, SENSOR, observe
 from relnav_graph.matrices import (
     cholesky,
     product,
@@ -19,16 +19,21 @@ from relnav_graph.matrices import (
     solve_lower_transposed,
     symmetrize,
 )
+from relnav_graph.robust import HUBER, root_weight
 from relnav_graph.state import local, retract, times_jacobian
 
 __all__ = [
     "copy",
     "innovation_covariance",
+    "robust_update",
     "scaled_cholesky",
     "sum_of_squares",
     "to_tangent",
-    "update",
 ]
+
+#: Rounds of reweighting, at most; the first ones with a convex loss; and the change of a
+#: weight's root that ends them.
+ROUNDS, CONVEX_ROUNDS, WEIGHT_TOLERANCE = 40, 4, 1e-3
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -240,6 +245,109 @@ def update(
             break
     _joseph(P0, gain_T, H0, P)
     to_tangent(P, local(x0, x, kinds, n), kinds, False)
+    return True
+
+
+@jit
+def robust_update(
+    sensors: Indices,
+    observations: Indices,
+    places: Indices,
+    numbers: Array,
+    kinds: Indices,
+    epoch: int,
+    first: int,
+    last: int,
+    rows: int,
+    iterations: int,
+    losses: Array,
+    innovations: Array,
+    weight: Array,
+    x: Array,
+    P: Array,
+) -> bool:
+    """:func:`update` with weights taken anew until they stay.
+
+    losses (last - first, 2); innovations (last - first,): mean squares of the normalised
+    ones, for the first weights. weight: 1 or 0 before, the square root of the weights after.
+    """
+    count = last - first
+    robust = False
+    for i in range(count):
+        robust = robust or losses[i, 0] != 0.0
+    if not robust:
+        return update(
+            sensors,
+            observations,
+            places,
+            numbers,
+            kinds,
+            epoch,
+            first,
+            last,
+            rows,
+            iterations,
+            weight,
+            x,
+            P,
+        )
+    chosen, x0, P0 = weight.copy(), x.copy(), P.copy()
+    r, H, status = np.empty(rows), np.empty((rows, P.shape[0])), np.empty(count, np.int64)
+    s2 = innovations.copy()
+    for turn in range(ROUNDS):
+        change = 0.0
+        for i in range(count):
+            if chosen[i] == 0.0:
+                continue
+            kind, c = losses[i, 0], losses[i, 1]
+            # Losses that redescend have many minima: first towards that of the convex one.
+            if kind != 0.0 and turn < CONVEX_ROUNDS:
+                kind, c = float(HUBER), 1.345
+            root = root_weight(kind, c, s2[i])
+            change = max(change, abs(root - weight[i]))
+            weight[i] = root
+        if turn > CONVEX_ROUNDS and change < WEIGHT_TOLERANCE:
+            break
+        for i in range(x.shape[0]):
+            x[i] = x0[i]
+        copy(P0, P)
+        if not update(
+            sensors,
+            observations,
+            places,
+            numbers,
+            kinds,
+            epoch,
+            first,
+            last,
+            rows,
+            iterations,
+            weight,
+            x,
+            P,
+        ):
+            return False
+        at = x.copy().reshape(1, x.shape[0])
+        observe(
+            sensors,
+            observations,
+            places,
+            numbers,
+            first,
+            last,
+            epoch,
+            at,
+            chosen,
+            r,
+            H,
+            status,
+        )
+        for i in range(count):
+            start = observations[first + i, ROW] - observations[first, ROW]
+            height = sensors[observations[first + i, SENSOR], ROWS]
+            s2[i] = sum_of_squares(r[start : start + height]) / height
+            if status[i] != 0:  # impossible now: it does not fit
+                s2[i] = np.inf
     return True
 
 

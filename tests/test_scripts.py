@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from pathlib import Path
 from types import ModuleType
 
@@ -31,6 +32,17 @@ def test_tumbling_rates_finds_the_graph_consistent() -> None:
     assert set(found) == {"iekf", "isam2", "isam2_smoothed", "batch"}
     assert max(found["batch"]) < 2.5
     assert max(found["isam2"]) < 2.5
+
+
+def test_benchmark_compares_everything(tmp_path: Path) -> None:
+    """At a tiny size, where the figures mean nothing; that solvers agree does."""
+    figure = tmp_path / "cost.png"
+    found = _script("benchmark").main(True, figure, (20, 30), 20, 40, 20, cold=False)
+    assert set(found) == {"batch", "isam2", "fixed_lag", "start"}
+    assert found["batch"]["faster_than"]["gtsam_lm"] > 0  # None unless at the same optimum
+    assert found["isam2"]["sigma_from_batch"] < 0.1
+    assert figure.stat().st_size > 1000
+    json.dumps(found, allow_nan=False)
 
 
 def test_every_script_is_run_here() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,14 +13,23 @@ from numpy.typing import NDArray
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.ekf import ITERATIONS, filter_pass, judge
-from relnav_graph.estimators.gating import count_rejected, residual_weights
+from relnav_graph.estimators.gating import (
+    count_downweighted,
+    count_rejected,
+    lost,
+    residual_weights,
+)
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Prior, Problem
+from relnav_graph.robust import Loss
 from relnav_graph.sweep import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.track import Status, Track
 
 #: What may go wrong on the way to a solution, when the problem is in order.
 UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
+
+#: Rounds of reweighting, at most, and the change of a weight's root that ends them.
+ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
 
 __all__ = ["UNSOLVED", "Batch", "Solution", "solve"]
 
@@ -130,19 +140,52 @@ def solve(
 
 
 def solve_gated(
-    assembly: Assembly, problem: Problem, x: Array, weights: Array, tolerance: float = 1e-3
+    assembly: Assembly,
+    problem: Problem,
+    x: Array,
+    weights: Array,
+    tolerance: float = 1e-3,
+    anchor: Anchor | None = None,
 ) -> Solution:
-    """`solve`, then decide again which observations pass the gate, until they stay."""
-    solution = solve(assembly, problem.prior, x, weights, tolerance=tolerance)
-    if not problem.gates and (solution.status == 0).all():
+    """`solve`, then weigh the observations anew (gates and robust losses), until that stays.
+
+    Where something was rejected, or a loss redescends and so has many minima, the way there
+    is by Huber's loss, which has one: what to leave out is decided at a robust estimate.
+    anchor: instead of the problem's prior.
+    """
+    prior = problem.prior if anchor is None else anchor
+    solution = solve(assembly, prior, x, weights, tolerance=tolerance)
+    if not (problem.gates or problem.losses) and (solution.status == 0).all():
         return solution
+    stages = [(problem.gates, problem.losses)]
+    doubtful = {name for name, loss in problem.losses.items() if loss.redescends}
+    if (solution.weights == 0).any():
+        doubtful |= set(problem.gates)
+    if doubtful:
+        kept = {name: gate for name, gate in problem.gates.items() if name not in doubtful}
+        convex = {**problem.losses, **dict.fromkeys(doubtful, Loss("huber"))}
+        stages.insert(0, (kept, convex))
+    for gates, losses in stages:
+        solution = _reweighted(assembly, prior, solution, gates, losses, tolerance)
+    return solution
+
+
+def _reweighted(
+    assembly: Assembly,
+    prior: Prior | Anchor,
+    solution: Solution,
+    gates: Mapping[str, float],
+    losses: Mapping[str, Loss],
+    tolerance: float,
+) -> Solution:
+    """The solution with weights that its own residuals give."""
     everything = np.ones(assembly.observations)
-    for _ in range(10):
+    for _ in range(ROUNDS if losses else 10):
         rows = assembly.measure(solution.x, everything)
-        weights = residual_weights(assembly, rows, problem.gates)
-        if (weights == solution.weights).all():
+        weights = residual_weights(assembly, rows, gates, losses)
+        if np.abs(weights - solution.weights).max(initial=0.0) <= WEIGHT_TOLERANCE:
             break
-        solution = solve(assembly, problem.prior, solution.x, weights, tolerance=tolerance)
+        solution = solve(assembly, prior, solution.x, weights, tolerance=tolerance)
     return solution
 
 
@@ -162,7 +205,7 @@ class Batch:
         done = filter_pass(problem, ITERATIONS)
         x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         status: Status = "diverged"
-        rejected = dict.fromkeys(problem.sensors, 0)
+        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
         assembly, message = done.assembly, done.stopped
         if not message:
             try:
@@ -171,8 +214,10 @@ class Batch:
                 solution = solve_gated(assembly, problem, begin, weights)
                 x, P = solution.x, solution.conditionals.covariances()
                 rejected |= count_rejected(assembly, solution.weights)
+                downweighted = count_downweighted(assembly, solution.weights)
+                away = lost(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
-                status, message = judge(rejected, problem, 2 * solution.cost, int(rows.sum()))
+                status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
                 if solution.distance > 0.1:
                     status = "degraded"
                     message = f"not converged: last step {solution.distance:.2g} sigma"
@@ -189,4 +234,5 @@ class Batch:
             message=message,
             runtime_s=time.perf_counter() - start,
             rejected=rejected,
+            downweighted=downweighted,
         )

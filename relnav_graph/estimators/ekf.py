@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.gating import thresholds
+from relnav_graph.estimators.gating import (
+    count_downweighted,
+    count_rejected,
+    losses_of,
+    lost,
+    thresholds,
+)
 from relnav_graph.filtering import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.track import Innovations, Status, Track
@@ -53,16 +59,25 @@ class FilterPass:
     @property
     def rejected(self) -> dict[str, int]:
         """Observations left out in the epochs reached, by sensor."""
-        seen = self.assembly.epoch_offsets[self.reached]
-        left_out = self.weights == 0
-        left_out[seen:] = False
-        return self.assembly.by_sensor(left_out)
+        return count_rejected(self.assembly, self._reached_weights)
 
-    def verdict(self, rejected: Mapping[str, int], problem: Problem) -> tuple[Status, str]:
+    @property
+    def downweighted(self) -> dict[str, int]:
+        """Observations in the epochs reached that a robust loss lets count for less."""
+        return count_downweighted(self.assembly, self._reached_weights)
+
+    @property
+    def _reached_weights(self) -> Array:
+        weights = self.weights.copy()
+        weights[self.assembly.epoch_offsets[self.reached] :] = 1.0
+        return weights
+
+    def verdict(self, problem: Problem) -> tuple[Status, str]:
         """Whether to trust what the filter found, by its innovations."""
         if self.stopped:
             return "diverged", self.stopped
-        return judge(rejected, problem, float(self.nis.sum()), int(self.used.sum()))
+        away = lost(self.assembly, self._reached_weights)
+        return judge(away, problem, float(self.nis.sum()), int(self.used.sum()))
 
     def innovations(self) -> dict[str, Innovations]:
         """Those of each sensor that saw anything, one epoch after the other, each epoch's
@@ -144,12 +159,13 @@ class KalmanFilter:
             *(np.ones(assembly.observations), np.zeros(count), np.zeros(count, dtype=np.int64)),
         )
         limits, failure = thresholds(assembly, self.problem.gates), np.zeros(4, dtype=np.int64)
+        losses = losses_of(assembly, self.problem.losses)
         arrays = [getattr(out, f.name) for f in fields(out)[1:-2]]
         for k in range(count) if seconds is not None else [0]:
             begun, end = time.perf_counter(), k + 1 if seconds is not None else count
             filter_epochs(
                 *(*assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
-                *(assembly.layout.kinds, limits, self.iterations, k, end),
+                *(assembly.layout.kinds, limits, losses, self.iterations, k, end),
                 *(self.x, self.P, *arrays, failure),
             )
             reached = int(failure[3]) if failure[0] else end
@@ -187,17 +203,20 @@ TRUSTED = 30.0
 
 
 def judge(
-    rejected: Mapping[str, int], problem: Problem, misfit: float, rows: int
+    away: Mapping[str, float], problem: Problem, misfit: float, rows: int
 ) -> tuple[Status, str]:
-    """Degraded when a sensor lost more than half of its observations, when there was none
-    to use, or when the squared residuals, `misfit` over `rows` rows, are far too large."""
+    """Degraded when a sensor lost more than half of its observations (see
+    `relnav_graph.estimators.gating.lost`), when there was none to use, or when the squared residuals, `misfit` over `rows` rows, are far too large."""
     seen = dict.fromkeys(problem.sensors, 0)
     for epoch in problem.epochs:
         for m in epoch.measurements:
             seen[m.sensor] += len(m.z)
-    for name, count in rejected.items():
+    for name, count in away.items():
         if count > 0.5 * seen[name]:
-            return "degraded", f"{count} of {seen[name]} observations of {name} rejected"
+            how = " or down-weighted" if name in problem.losses else ""
+            return "degraded", (
+                f"{count:.0f} of {seen[name]} observations of {name} rejected{how}"
+            )
     if not rows:
         return "degraded", "not one observation was used"
     if misfit > TRUSTED * rows:
@@ -277,7 +296,7 @@ class Ekf:
         """Filter the whole pass."""
         start, seconds = time.perf_counter(), list[float]()
         done = filter_pass(problem, self.iterations, keep=False, seconds=seconds)
-        status, message = done.verdict(done.rejected, problem)
+        status, message = done.verdict(problem)
         return Track(
             name=self.kind,
             kind="filtered",
@@ -290,6 +309,7 @@ class Ekf:
             runtime_s=time.perf_counter() - start,
             step_s=np.array(seconds),
             rejected=done.rejected,
+            downweighted=done.downweighted,
             innovations=done.innovations(),
         )
 

@@ -10,17 +10,18 @@ window, for ever.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import UNSOLVED, Solution, solve
+from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
+from relnav_graph.estimators.gating import count_downweighted, count_rejected, lost
 from relnav_graph.estimators.packing import pack, unpack
 from relnav_graph.problem import SAME_TIME, Epoch, Problem
 from relnav_graph.sweep import Anchor, Conditionals, anchor_of, linearize
@@ -35,11 +36,13 @@ EPOCHS = 30
 
 @dataclass(frozen=True, eq=False)
 class Left:
-    """Epochs that left a window together: t (m,) s, x (m, size). Their covariances wait to
-    be asked for: they cost a pass back through the whole window."""
+    """Epochs that left a window together: t (m,) s, x (m, size), weights of their
+    observations. Their covariances wait to be asked for: they cost a pass back through the
+    whole window."""
 
     t: Array
     x: Array
+    weights: Array
     first: int
     conditionals: Conditionals
 
@@ -117,10 +120,9 @@ class FixedLagEngine:
         weights = (*state.weights, done.weights)
         start = np.concatenate([state.trajectory, kalman.x[None]])
         try:
-            solution = solve(
+            solution = solve_gated(
                 _joined(parts, len(start)),
-                *(state.anchor, start, np.concatenate(weights)),
-                tolerance=self.tolerance,
+                *(p, start, np.concatenate(weights), self.tolerance, state.anchor),
             )
         except UNSOLVED as error:
             raise EstimationError(
@@ -130,9 +132,11 @@ class FixedLagEngine:
         P = inverse @ inverse.T
         if not (np.isfinite(solution.x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
+        edges = np.cumsum([part.observations for part in parts])[:-1]
+        weights = tuple(np.split(solution.weights, edges))
         window = Window(
             *(epoch.t, state.anchor, solution.x, 0.5 * (P + P.T)),
-            *(epochs, parts, weights, done, None, solution),
+            *(epochs, parts, weights, replace(done, weights=weights[-1]), None, solution),
         )
         return self._without_old(window)
 
@@ -153,7 +157,8 @@ class FixedLagEngine:
         system = linearize(assembly, w.anchor, x, whiten, np.concatenate(w.weights[:gone]))
         c = system.conditionals
         left = Left(
-            np.array([e.t for e in w.epochs[:gone]]), x[lead:], lead, w.smoothed.conditionals
+            *(np.array([e.t for e in w.epochs[:gone]]), x[lead:]),
+            *(np.concatenate(w.weights[:gone]), lead, w.smoothed.conditionals),
         )
         return replace(
             w,
@@ -209,12 +214,12 @@ class FixedLag:
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
         start, engine, layout = time.perf_counter(), self.engine(problem), problem.layout
-        count, seconds, state = len(problem.epochs), list[float](), engine.begin()
+        count, state, assembly = len(problem.epochs), engine.begin(), Assembly.of(problem)
         x, smoothed_x = np.full((2, count, layout.size), np.nan)
         P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
-        rejected, nis, used, behind = dict.fromkeys(problem.sensors, 0), 0.0, 0, 0
+        seconds, misfit, used, behind = list[float](), 0.0, 0, 0
+        first, last = list[Array](), list[Array]()  # weights, of the newest epoch, and later
         status: Status = "diverged"
-        assembly = Assembly.of(problem)
         try:
             for k, epoch in enumerate(problem.epochs):
                 begun = time.perf_counter()
@@ -222,43 +227,50 @@ class FixedLag:
                 seconds.append(time.perf_counter() - begun)
                 x[k], P[k], done = state.x, state.P, state.done
                 assert done is not None
-                for name, n in done.rejected.items():
-                    rejected[name] += n
-                nis, used = nis + float(done.nis[0]), used + int(done.used[0])
+                misfit, used = misfit + float(done.nis[0]), used + int(done.used[0])
+                first.append(done.weights)
                 if state.left is not None:
                     end = behind + len(state.left.t)
                     smoothed_x[behind:end] = state.left.x
                     smoothed_P[behind:end] = state.left.covariances()
+                    last.append(state.left.weights)
                     behind = end
             assert state.smoothed is not None
             smoothed_x[behind:] = state.trajectory[behind - count :]
             smoothed_P[behind:] = state.smoothed.conditionals.covariances()[behind - count :]
-            status, message = judge(rejected, problem, nis, used)
+            status, message = judge(lost(assembly, np.concatenate(first)), problem, misfit, used)
         except UNSOLVED as error:
             message = str(error)
+        own: dict[str, Any] = {"layout": layout, "t": problem.times}
+        own |= {"status": status, "message": message}
         smoothed = Track(
             name=f"{self.kind}_smoothed",
             kind="fixed-lag",
-            layout=layout,
-            t=problem.times,
             x=smoothed_x,
             P=smoothed_P,
-            status=status,
-            message=message,
             runtime_s=time.perf_counter() - start,
-            rejected=rejected,
+            **_counts(assembly, [*last, *state.weights]),
+            **own,
         )
         return Track(
             name=self.kind,
             kind="filtered",
-            layout=layout,
-            t=problem.times,
             x=x,
             P=P,
-            status=status,
-            message=message,
             runtime_s=sum(seconds),
             step_s=np.array(seconds),
-            rejected=rejected,
             smoothed=smoothed,
+            **_counts(assembly, first),
+            **own,
         )
+
+
+def _counts(assembly: Assembly, weights: Sequence[Array]) -> dict[str, Any]:
+    """Observations rejected and down-weighted in the epochs reached, by sensor."""
+    every = np.ones(assembly.observations)
+    reached = np.concatenate([np.zeros(0), *weights])
+    every[: len(reached)] = reached
+    return {
+        "rejected": count_rejected(assembly, every),
+        "downweighted": count_downweighted(assembly, every),
+    }

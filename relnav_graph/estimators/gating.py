@@ -1,4 +1,5 @@
-"""Which observations to use: the chi-square gate, the same for filter and smoothers."""
+"""How much each observation counts: the chi-square gate and robust losses, the same for
+filter and smoothers."""
 
 from __future__ import annotations
 
@@ -10,8 +11,16 @@ from scipy.special import chdtri
 
 from relnav_graph.assembly import Assembly, MeasurementRows
 from relnav_graph.loops import ROWS
+from relnav_graph.robust import Loss, root_weights
 
-__all__ = ["count_rejected", "residual_weights", "thresholds"]
+__all__ = [
+    "count_downweighted",
+    "count_rejected",
+    "losses_of",
+    "lost",
+    "residual_weights",
+    "thresholds",
+]
 
 Array = NDArray[np.float64]
 
@@ -29,15 +38,42 @@ def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:
     return by_observation
 
 
+def losses_of(assembly: Assembly, losses: Mapping[str, Loss]) -> Array:
+    """Kind and tuning constant of each observation's loss (observations, 2)."""
+    numbers = np.array([[0.0, 1.0]] * len(assembly.sensor_names)).reshape(-1, 2)
+    for i, name in enumerate(assembly.sensor_names):
+        if name in losses:
+            numbers[i] = losses[name].numbers()
+    by_observation: Array = numbers[assembly.sensor_of]
+    return by_observation
+
+
 def residual_weights(
-    assembly: Assembly, rows: MeasurementRows, gates: Mapping[str, float]
+    assembly: Assembly,
+    rows: MeasurementRows,
+    gates: Mapping[str, float],
+    losses: Mapping[str, Loss],
 ) -> Array:
-    """1 or 0 for each observation, by its residual at a smoothed estimate against R."""
+    """Square root of each observation's weight, by its residual at a smoothed estimate
+    against R; 0 for one beyond its gate. rows: unweighted."""
     ends = np.cumsum(assembly.heights)
     total = np.concatenate(([0.0], np.cumsum(rows.r**2)))
     squares = total[ends] - total[ends - assembly.heights]
-    passed = (rows.status == 0) & (squares <= thresholds(assembly, gates))
-    return passed.astype(np.float64)
+    weights: Array = root_weights(losses_of(assembly, losses), squares / assembly.heights)
+    weights[rows.status != 0] = 0.0
+    weights[squares > thresholds(assembly, gates)] = 0.0
+    return weights
+
+
+def count_downweighted(assembly: Assembly, weights: Array) -> dict[str, int]:
+    """Observations that a robust loss lets count for less, by sensor."""
+    return assembly.by_sensor((weights > 0) & (weights < 1))
+
+
+def lost(assembly: Assembly, weights: Array) -> dict[str, float]:
+    """What was rejected or down-weighted of each sensor, in whole observations."""
+    part = np.bincount(assembly.sensor_of, 1 - weights**2, len(assembly.sensor_names))
+    return {name: float(n) for name, n in zip(assembly.sensor_names, part, strict=True)}
 
 
 def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:

@@ -26,7 +26,7 @@ from relnav_graph.chain import epoch_factor, interval_factor
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
-from relnav_graph.estimators.gating import count_rejected
+from relnav_graph.estimators.gating import count_downweighted, count_rejected, lost
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.sweep import Anchor, Conditionals
 from relnav_graph.track import Status, Track
@@ -323,7 +323,7 @@ class Isam2:
         seconds: list[float] = []
         x, smoothed_x = np.full((2, count, layout.size), np.nan)
         P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
-        rejected = dict.fromkeys(problem.sensors, 0)
+        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
         status: Status = "diverged"
         assembly = Assembly.of(problem)
         try:
@@ -334,8 +334,10 @@ class Isam2:
             assembly, solution = smoother.finish()
             smoothed_x, smoothed_P = solution.x, solution.conditionals.covariances()
             rejected |= count_rejected(assembly, solution.weights)
+            downweighted = count_downweighted(assembly, solution.weights)
+            away = lost(assembly, solution.weights)
             rows = assembly.rows_of(solution.weights > 0)
-            status, message = judge(rejected, problem, 2 * solution.cost, int(rows.sum()))
+            status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
         except UNSOLVED as error:
             message = str(error)
         smoothed = Track(
@@ -349,6 +351,7 @@ class Isam2:
             message=message,
             runtime_s=time.perf_counter() - start,
             rejected=rejected,
+            downweighted=downweighted,
         )
         return Track(
             name=self.kind,
@@ -362,5 +365,6 @@ class Isam2:
             runtime_s=sum(seconds),
             step_s=np.array(seconds),
             rejected=rejected,
+            downweighted=downweighted,
             smoothed=smoothed,
         )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
-from relnav_graph.estimators.gating import count_rejected
+from relnav_graph.estimators.gating import count_downweighted, count_rejected
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.sweep import Anchor, System, anchor_of, linearize
@@ -128,5 +128,6 @@ def smooth_long_pass(
             x=one.x[own],
             P=P[own],
             rejected=count_rejected(one.assembly, one.weights),
+            downweighted=count_downweighted(one.assembly, one.weights),
         )
         P_end = P[0]

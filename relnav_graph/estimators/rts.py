@@ -51,7 +51,7 @@ class Rts:
         start = time.perf_counter()
         done = filter_pass(problem, self.iterations)
         x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
-        status, message = done.verdict(done.rejected, problem)
+        status, message = done.verdict(problem)
         if not done.stopped:
             try:
                 x, P = smooth(done)
@@ -68,4 +68,5 @@ class Rts:
             message=message,
             runtime_s=time.perf_counter() - start,
             rejected=done.rejected,
+            downweighted=done.downweighted,
         )

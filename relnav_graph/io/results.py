@@ -91,6 +91,7 @@ def _track_group(track: Track, smoothed: str) -> Group:
         "message": track.message,
         "runtime_s": float(track.runtime_s),
         "rejected": json.dumps({k: int(v) for k, v in track.rejected.items()}),
+        "downweighted": json.dumps({k: int(v) for k, v in track.downweighted.items()}),
         "smoothed": smoothed,
     }
     return Group(attributes, variables)
@@ -161,6 +162,7 @@ def _track(groups: Mapping[str, Group], name: str) -> Track:
         runtime_s=float(a["runtime_s"]),
         step_s=variables["step_s"].values if "step_s" in variables else None,
         rejected=json.loads(str(a["rejected"])),
+        downweighted=json.loads(str(a.get("downweighted", "{}"))),
         smoothed=_track(groups, str(a["smoothed"])) if a["smoothed"] else None,
     )
 

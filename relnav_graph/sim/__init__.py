@@ -43,9 +43,12 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Timing:
-    """When a simulated sensor measures: every `period` s (None: at each epoch)."""
+    """How a simulated sensor measures: every `period` s (None: at each epoch), with a
+    fraction of outliers, off by `outlier_size` sigmas."""
 
     period: float | None = None
+    outlier_fraction: float = 0.0
+    outlier_size: float = 0.0
 
     def fires(self, t: float, t0: float) -> bool:
         if self.period is None:
@@ -67,10 +70,26 @@ def _seen(
     return np.concatenate([i for i, _ in found]), np.concatenate([z for _, z in found])
 
 
+def _with_outliers(e: Array, timing: Timing, rng: np.random.Generator) -> Array:
+    """Unit noise e (k, rows) with outliers added, each in a direction of its own."""
+    direction = rng.standard_normal(e.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    struck = rng.random(len(e)) < timing.outlier_fraction
+    out: Array = e + timing.outlier_size * struck[:, None] * direction
+    return out
+
+
 def measure(
-    name: str, sensor: Sensor, timing: Timing, truth: Truth, rng: np.random.Generator
+    name: str,
+    sensor: Sensor,
+    timing: Timing,
+    truth: Truth,
+    rng: np.random.Generator,
+    outliers: np.random.Generator,
 ) -> list[Measurement]:
     """What a sensor would have measured: the model at the truth, with its noise.
+
+    outliers: the stream that these are drawn from: all other noise is as without them.
 
     An observation that is impossible at the truth, such as a point behind the camera, is
     one that is not seen. Raises InputError when the truth lacks a block.
@@ -87,7 +106,8 @@ def measure(
         if len(seen):
             clean = Measurement(name, float(t), rows, seen)
             R = sensor.noise(clean)
-            e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.standard_normal(R.shape[:2]))
+            unit = _with_outliers(rng.standard_normal(R.shape[:2]), timing, outliers)
+            e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
             out.append(Measurement(name, float(t), sensor.perturb(clean.z, e), clean.ids))
     return out
 
@@ -133,5 +153,7 @@ def simulate(
     measurements: list[Measurement] = []
     for name, sensor in sensors.items():
         rng = stream(seed, run, f"sensor {name}")
-        measurements += measure(name, sensor, timings.get(name, Timing()), truth, rng)
+        outliers = stream(seed, run, f"outliers {name}")
+        timing = timings.get(name, Timing())
+        measurements += measure(name, sensor, timing, truth, rng, outliers)
     return Recording(times, tuple(measurements), series, truth)

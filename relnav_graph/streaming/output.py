@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -72,14 +73,21 @@ class Output:
         data = text.encode() + b"\n"
         try:
             while data:
-                with self._waiting:
-                    data = data[os.write(self._descriptor, data) :]
+                self._wait()
+                data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
         except BrokenPipeError:
             raise
         except OSError as error:
             where = self.path or "standard output"
             raise InputError(f"-o {where}: cannot be written: {error.strerror}") from error
         self.done = seq
+
+    def _wait(self) -> None:
+        """Until there is room for so many bytes; only here may a signal break it off, so that
+        it is known what went out."""
+        if not select.select([], [self._descriptor], [], 0)[1]:
+            with self._waiting:
+                select.select([], [self._descriptor], [])
 
     def close(self) -> None:
         """Let go of a file."""

@@ -1,0 +1,85 @@
+"""Robust losses: how much an observation that does not fit still counts.
+
+An observation of m rows with whitened residual r is judged by s^2 = |r|^2 / m, its mean
+square; its rows are multiplied by the square root of the weight w(s). Minimising with
+weights taken anew until they stay is minimising the loss (iteratively reweighted least
+squares: Holland and Welsch 1977).
+
+    huber   1 up to c, then c / s                    (Huber 1964)
+    cauchy  1 / (1 + (s / c)^2)
+    dcs     (2 c^2 / (c^2 + s^2))^2, at most 1       (Agarwal, Tipaldi, Spinello, Stachniss,
+                                                      Burgard 2013, eq. 17, with phi = c^2)
+    tukey   (1 - (s / c)^2)^2, 0 beyond c
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.compiled import jit
+from relnav_graph.errors import InputError
+
+__all__ = ["TUNING", "Loss", "LossKind", "root_weight"]
+
+Array = NDArray[np.float64]
+LossKind = Literal["huber", "cauchy", "dcs", "tukey"]
+
+NONE, HUBER, CAUCHY, DCS, TUKEY = 0, 1, 2, 3, 4
+_NUMBERS: Mapping[str, int] = {"huber": HUBER, "cauchy": CAUCHY, "dcs": DCS, "tukey": TUKEY}
+#: Default c, in sigmas: 95 % efficient on one normal variable; for dcs full weight to 2 sigma.
+TUNING: Mapping[str, float] = {"huber": 1.345, "cauchy": 2.3849, "dcs": 2.0, "tukey": 4.6851}
+
+
+@jit
+def root_weight(kind: float, c: float, s2: float) -> float:
+    """Square root of the weight of an observation of mean square s2; 1 without a loss."""
+    q = s2 / (c * c)
+    if kind == HUBER:
+        return 1.0 if q <= 1.0 else q ** (-0.25)
+    if kind == CAUCHY:
+        return 1.0 / np.sqrt(1.0 + q)
+    if kind == DCS:
+        return min(1.0, 2.0 / (1.0 + q))
+    if kind == TUKEY:
+        return 1.0 - q if q < 1.0 else 0.0
+    return 1.0
+
+
+@jit
+def root_weights(losses: Array, s2: Array) -> Array:
+    """:func:`root_weight` of each observation: losses (m, 2), s2 (m,)."""
+    out = np.empty(s2.shape[0])
+    for i in range(s2.shape[0]):
+        out[i] = root_weight(losses[i, 0], losses[i, 1], s2[i])
+    return out
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A loss and its tuning constant c, in sigmas; the usual one when it is None.
+
+    Raises InputError on another kind, or a constant that is not positive.
+    """
+
+    kind: LossKind
+    tuning: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in TUNING:
+            raise InputError(f"loss: found {self.kind!r}, expected one of {', '.join(TUNING)}")
+        if self.tuning is not None and not 0 < self.tuning < np.inf:
+            raise InputError(f"loss {self.kind}: found tuning {self.tuning}, expected > 0")
+
+    @property
+    def redescends(self) -> bool:
+        """Whether what fits badly loses its pull: many minima, then."""
+        return self.kind != "huber"
+
+    def numbers(self) -> tuple[float, float]:
+        """What `root_weight` takes."""
+        return float(_NUMBERS[self.kind]), self.tuning or TUNING[self.kind]
