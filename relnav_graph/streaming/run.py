@@ -15,7 +15,8 @@ from typing import Any
 from relnav_graph.io.lines import Header, dump
 from relnav_graph.streaming.journal import Journal, JournalError, Record
 from relnav_graph.streaming.output import Output
-from relnav_graph.streaming.session import Session, header_in
+from relnav_graph.streaming.saved import header_in
+from relnav_graph.streaming.session import Session
 
 __all__ = ["Interrupted", "Interrupts", "Recorder", "journaled_header", "run"]
 

@@ -11,8 +11,6 @@ clock, no chance. So the journal needs no more than those.
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -28,16 +26,15 @@ from relnav_graph.io.lines import (
     LineError,
     Tick,
     estimate_object,
-    input_object,
-    measurement_object,
     parse_line,
 )
 from relnav_graph.magnitude import wrong_unit
 from relnav_graph.models import Measurement, derived_quantities
 from relnav_graph.problem import SAME_TIME, Epoch, Problem, process_inputs
+from relnav_graph.streaming import saved
 from relnav_graph.streaming.buffers import InputBuffer, Waiting, WaitingEpoch
 
-__all__ = ["Options", "Parsed", "Session", "header_in"]
+__all__ = ["Options", "Parsed", "Session"]
 
 Array = NDArray[np.float64]
 Item = Header | Measurement | InputSample | Tick | LineError
@@ -350,10 +347,8 @@ class Session:
 
     def save(self) -> bytes:
         """All of its state."""
-        header = {k: v for k, v in vars(self.header).items() if k != "settings"}
         own = {
-            "header": {**header, "prior": dict(self.header.prior)},
-            "settings": dict(self.header.settings),
+            "header": saved.header_object(self.header),
             "rejected": self.rejected,
             "seq": self.seq,
             "status": self.status,
@@ -363,50 +358,18 @@ class Session:
             "notes": self._notes,
             "fits": sorted(self._fits),
             "bridged": self._bridged,
-            "inputs": {n: [input_object(s) for s in b.samples] for n, b in self._inputs.items()},
-            "waiting": [
-                (e.t, e.arrival, [measurement_object(m) for m in e.measurements])
-                for e in self._waiting.epochs
-            ],
+            "inputs": {name: saved.samples(b.samples) for name, b in self._inputs.items()},
+            "waiting": saved.waiting(self._waiting.epochs),
         }
-        text = np.frombuffer(json.dumps(own).encode(), dtype=np.uint8)
-        stream = io.BytesIO()
-        np.savez(stream, session=text, **self.online.state())
-        return stream.getvalue()
+        return saved.pack(own, self.online.state())
 
-    def load(self, saved: bytes) -> None:
-        """Be the session that gave `saved`; for one that has taken in nothing yet."""
-        own = _own(saved)
-        with np.load(io.BytesIO(saved), allow_pickle=False) as arrays:
-            self.online.restore({k: arrays[k] for k in arrays if k != "session"})
+    def load(self, data: bytes) -> None:
+        """Be the session that gave `data`; for one that has taken in nothing yet."""
+        own, arrays = saved.unpack(data)
+        self.online.restore(arrays)
         self.rejected, self.seq, self.status = own["rejected"], own["seq"], own["status"]
         self.lines, self._heard, self._last = own["lines"], own["heard"], own["last"]
         self._notes, self._fits, self._bridged = own["notes"], set(own["fits"]), own["bridged"]
         for name, samples in own["inputs"].items():
-            self._inputs[name].samples = [
-                InputSample(
-                    *(name, s["t_start"], s["t_end"], np.array(s["values"])), s.get("t_arrival")
-                )
-                for s in samples
-            ]
-        self._waiting.epochs = [
-            WaitingEpoch(t, arrival, [_measurement(m) for m in measurements])
-            for t, arrival, measurements in own["waiting"]
-        ]
-
-
-def header_in(saved: bytes) -> Header:
-    """The header of the session that gave `saved`."""
-    own = _own(saved)
-    return Header(**own["header"], settings=own["settings"])
-
-
-def _own(saved: bytes) -> dict[str, Any]:
-    with np.load(io.BytesIO(saved), allow_pickle=False) as arrays:
-        own: dict[str, Any] = json.loads(arrays["session"].tobytes())
-    return own
-
-
-def _measurement(line: Mapping[str, Any]) -> Measurement:
-    z, ids = np.array(line["z"]), np.array(line["id"], dtype=np.int64)
-    return Measurement(line["sensor"], line["t"], z, ids, line.get("t_arrival"))
+            self._inputs[name].samples = saved.samples_in(samples)
+        self._waiting.epochs = saved.waiting_in(own["waiting"])

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from passes import ZHANG, relnav
+from streams import lines_of, write_scenario
 
+from relnav_graph.scenario import load_scenario
+
+TESTS = Path(__file__).parents[1]
 Capture = pytest.CaptureFixture[str]
 SHORT = ("--set", "time.epochs=40")
 
@@ -65,7 +71,7 @@ def _with_room(
         text=True,
         check=False,
         timeout=120,
-        **streams,  # type: ignore[call-overload]
+        env=env,
     )
 
 
@@ -91,3 +97,30 @@ def test_row_37_a_folder_that_cannot_be_written(command: str, capsys: Capture) -
     assert code == 2
     assert "/proc/relnav/out" in err
     assert "Traceback" not in err
+
+
+def test_row_37_a_journal_on_a_full_disk(tmp_path: Path, capsys: Capture) -> None:
+    """The stream ends and says where; with room again it goes on, and loses nothing."""
+    path = write_scenario(tmp_path)
+    lines = lines_of(load_scenario(path))
+    (tmp_path / "lines").write_text("\n".join(lines) + "\n", "utf-8")
+    options = ("stream", path, "--from", tmp_path / "lines", "--journal", tmp_path / "journal")
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *filter(None, sys.path)])}
+    done = _with_room(9000, *options, "-o", tmp_path / "out", env=env)
+    assert done.returncode == 2, done.stderr
+    assert "00000000.journal: offset " in done.stderr
+    assert "cannot be written: File too large" in done.stderr
+    told = (tmp_path / "out").read_text("utf-8").splitlines()
+    assert 0 < len(told) < 40
+    code, _, err = relnav(capsys, *options, "-o", tmp_path / "out")
+    assert code == 0, err
+    out = [json.loads(line)["seq"] for line in (tmp_path / "out").read_text().splitlines()]
+    assert out == list(range(40))
+
+
+def test_row_37_output_on_a_full_disk(tmp_path: Path, capsys: Capture) -> None:
+    path = write_scenario(tmp_path)
+    (tmp_path / "lines").write_text("\n".join(lines_of(load_scenario(path))) + "\n", "utf-8")
+    code, _, err = relnav(capsys, "stream", path, "--from", tmp_path / "lines", "-o", "/dev/full")
+    assert code == 2
+    assert "-o /dev/full: cannot be written: No space left on device" in err

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 from passes import ZHANG, relnav
+from streams import lines_of, write_scenario
 
+from relnav_graph.scenario import load_scenario
 from relnav_graph.streaming.journal import Journal, JournalError, read_segment
 
 
@@ -114,3 +116,30 @@ def test_row_34_a_damaged_data_set_is_refused(
     assert str(path) in err
     assert ("found format 7, expected 1" if damage == "version" else "changed since") in err
     assert not (tmp_path / "out").exists()
+
+
+def test_row_34_the_command_refuses_a_damaged_journal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_scenario(tmp_path)
+    (tmp_path / "lines").write_text("\n".join(lines_of(load_scenario(path))) + "\n", "utf-8")
+    journal = tmp_path / "journal"
+    options = ("stream", path, "--from", tmp_path / "lines", "--journal", journal)
+    assert relnav(capsys, *options, "-o", tmp_path / "out", "--snapshot-every", 25)[0] == 0
+    before = (tmp_path / "out").read_bytes()
+    last = sorted(journal.glob("*.journal"))[-1]
+    whole = last.read_bytes()
+    last.write_bytes(whole[:-30] + bytes([whole[-30] ^ 4]) + whole[-29:])
+    code, _, err = relnav(capsys, *options, "-o", tmp_path / "out")
+    assert code == 2
+    assert f"{last}: offset " in err
+    assert (tmp_path / "out").read_bytes() == before
+    # The segment before is whole: without the damaged one, the stream goes on from there.
+    last.unlink()
+    code, _, err = relnav(capsys, *options, "-o", tmp_path / "out")
+    assert code == 0, err
+    assert (tmp_path / "out").read_bytes() == before
+    # Nor is it taken for the journal of another scenario or estimator.
+    code, _, err = relnav(capsys, *options, "-o", tmp_path / "out", "-e", "ekf")
+    assert code == 2
+    assert "the journal belongs to another run: found estimator = 'fixed_lag'" in err
