@@ -62,7 +62,9 @@ def _killed(arguments: list[str], out: Path, number: int, rng: random.Random) ->
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
 
-def run(number: int, count: int, seed: int, scenario: str, lines: str, out: str, journal: str) -> None:
+def run(
+    number: int, count: int, seed: int, scenario: str, lines: str, out: str, journal: str
+) -> None:
     arguments = ["stream", scenario, "--from", lines, "-o", out, "--journal", journal, *OPTIONS]
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:

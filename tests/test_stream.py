@@ -198,7 +198,11 @@ def test_measurements_wait_for_their_inputs(zhang: Toy) -> None:
     """The gyro comes three intervals late, by its own clock too, and out of order."""
     scenario, lines = zhang
     beacons = [changed(line) for line in lines if "beacons" in line[:20]]
-    gyro = [changed(line, t_arrival=json.loads(line)["t_end"] + 30.0) for line in lines if "gyro" in line[:20]]
+    gyro = [
+        changed(line, t_arrival=json.loads(line)["t_end"] + 30.0)
+        for line in lines
+        if "gyro" in line[:20]
+    ]
     gyro[4], gyro[5] = gyro[5], gyro[4]
     mixed = [lines[0], *beacons[:4]]
     for k, sample in enumerate(gyro):
@@ -248,8 +252,8 @@ def test_measurements_without_inputs_are_refused_in_the_end(zhang: Toy) -> None:
         (b'{"sensor": "lidar", "t": 1, "id": [0], "z": [[1]]}', "unknown sensor 'lidar'"),
         (b'{"sensor": "fix", "id": [0], "z": [[1, 2, 3]]}', "line.t: missing"),
         (b'{"sensor": "fix", "t": "1", "id": [0], "z": [[1, 2, 3]]}', "line.t: Input should be"),
-        (b'{"sensor": "fix", "t": 1, "id": [0], "z": [[1, 2]]}', "found rows of z with [2] numbers"),
-        (b'{"sensor": "fix", "t": 1, "id": [0], "z": [[1, 2, 3], [1]]}', "found rows of z with [1, 3]"),
+        (b'{"sensor": "fix", "t": 1, "id": [0], "z": [[1, 2]]}', "rows of z with [2] numbers"),
+        (b'{"sensor": "fix", "t": 1, "id": [0], "z": [[1, 2, 3], [1]]}', "rows of z with [1, 3]"),
         (b'{"sensor": "fix", "t": 1, "id": [0, 1], "z": [[1, 2, 3]]}', "1 rows of z, but ids"),
         (b'{"sensor": "fix", "t": 1, "id": [0, 0], "z": [[1, 2, 3], [1, 2, 3]]}', "each one once"),
         (b'{"sensor": "fix", "t": 1, "id": [true], "z": [[1, 2, 3]]}', "line.id[0]: Input should"),
@@ -259,7 +263,7 @@ def test_measurements_without_inputs_are_refused_in_the_end(zhang: Toy) -> None:
         (b'{"epoch": "now"}', "line.epoch: Input should be"),
         (b'{"input": "gyro", "t_start": 0, "t_end": 1, "values": [1]}', "unknown input 'gyro'"),
         (b'{"format": "csv", "version": 1}', "found format 'csv', version 1, expected"),
-        (b'{"format": "relnav-lines", "version": 2}', "version 2, expected 'relnav-lines', version 1"),
+        (b'{"format": "relnav-lines", "version": 2}', "version 2, expected 'relnav-lines'"),
     ],
 )  # fmt: skip
 def test_a_line_that_cannot_be_used_says_why(toy: Toy, line: bytes, says: str) -> None:
@@ -334,7 +338,10 @@ def test_refusals_end_with_3_unless_allowed(tmp_path: Path, capsys: Capture) -> 
         (["-e", "kalman"], "found kind 'kalman'"),
         (["--from", "nowhere"], "--from nowhere: No such file"),
         (["--from", "tcp:0"], "expected tcp:PORT"),
-        (["--from", "{here}", "-o", "/proc/nowhere/out"], "-o /proc/nowhere/out: cannot be written"),
+        (
+            ["--from", "{here}", "-o", "/proc/nowhere/out"],
+            "-o /proc/nowhere/out: cannot be written",
+        ),
         (["--from", "{here}", "--journal", "/proc/nowhere"], "--journal /proc/nowhere: "),
     ],
 )
@@ -400,15 +407,15 @@ def test_a_socket_on_loopback(tmp_path: Path, capsys: Capture) -> None:
 
 
 def test_memory_is_flat_whatever_comes(toy: Toy) -> None:
-    """A thousand epochs of what never becomes one: nothing is kept for ever."""
+    """Hundreds of epochs of what never becomes one: nothing is kept for ever."""
     scenario, lines = toy
     session = session_of(scenario, lines[0])
     feed(session, lines, end=False)
     sizes = []
-    for k in range(1500):
+    for k in range(600):
         t = 40.0 + k
         feed(session, [changed(lines[1], t=t), changed(lines[1], t=t - 30), "no line"], end=False)
-        if k % 500 == 499:
+        if k % 200 == 199:
             sizes.append(len(session.save()))
     assert max(sizes) < 1.02 * min(sizes)
 

@@ -54,7 +54,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
-from relnav_graph.errors import InputError
+from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.columns import from_components, to_components
 from relnav_graph.models import Derived, Measurement, Sensor
 from relnav_graph.problem import SAME_TIME, Prior
@@ -184,8 +184,13 @@ def _measurement(line: _MeasurementLine, sensors: Mapping[str, Sensor]) -> Measu
     if len(set(line.id)) < len(ids):
         raise InputError(f"found ids {line.id}, expected each one once")
     m = Measurement(line.sensor, line.t, np.array(line.z), ids, line.t_arrival)
-    sensors[line.sensor].accept(m.z)
-    sensors[line.sensor].observation_data(m.ids)
+    try:
+        sensors[line.sensor].accept(m.z)
+        sensors[line.sensor].observation_data(m.ids)
+    except RelnavError:
+        raise
+    except Exception as error:  # a model's, which must not end the stream
+        raise InputError(f"the model raised {type(error).__name__}: {error}") from error
     return m
 
 
@@ -250,7 +255,7 @@ def parse_line(
     except ValidationError as error:
         problems = "; ".join(f"{path}: {text[:200]}" for path, text in from_pydantic("line", error))
         raise LineError(problems, *_named(raw)) from error
-    except (InputError, OverflowError) as error:
+    except (RelnavError, OverflowError) as error:
         raise LineError(str(error), *_named(raw)) from error
 
 

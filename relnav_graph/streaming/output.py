@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import stat
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -38,7 +39,8 @@ class Output:
                 self._descriptor = os.open(path, flags, 0o644)
             except OSError as error:
                 raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
-            self.done = self._mend()
+            if stat.S_ISREG(os.fstat(self._descriptor).st_mode):
+                self.done = self._mend()
 
     def resume(self, kept: int, done: int) -> None:
         """Go on after a kill. kept: the last line before those that come again; done: the
@@ -92,5 +94,6 @@ class Output:
     def close(self) -> None:
         """Let go of a file."""
         if self.path is not None:
-            os.fsync(self._descriptor)
+            if stat.S_ISREG(os.fstat(self._descriptor).st_mode):
+                os.fsync(self._descriptor)
             os.close(self._descriptor)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from passes import relnav
+from passes import ZHANG, relnav
 from streams import changed, feed, lines_of, session_of, toy, write_scenario
 
 from relnav_graph.errors import InputError
@@ -70,16 +71,12 @@ def test_row_6_offline_too(toy: Toy) -> None:
         Measurement(m.sensor, m.t, m.z / 1e3 if m.sensor == "ranger" else m.z, m.ids)
         for m in recording.measurements
     )
-    from dataclasses import replace
-
     with pytest.raises(InputError, match=r"sensor 'ranger' at t = 0\.0 s: km given for m\?"):
         scenario.problem(replace(recording, measurements=wrong), 4)
 
 
 def test_row_6_a_unit_vector_that_is_none(tmp_path: Path) -> None:
     """A line of sight in degrees, or a position in its place."""
-    from passes import ZHANG
-
     scenario = load_scenario(ZHANG, ["time.epochs=3"])
     lines = lines_of(scenario)
     out = feed(session_of(scenario, lines[0]), [_scaled(line, "beacons", 57.3) for line in lines])

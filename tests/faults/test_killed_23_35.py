@@ -121,7 +121,7 @@ def test_row_23_a_signal_ends_a_stream_that_waits(
 ) -> None:
     """While there is nothing to read: at once, and it says so; the sender begins again from
     the start, and nothing is lost or repeated on standard output."""
-    lines = [line for line in lines_of(load_scenario(folder / "toy.toml"))[:200]]
+    lines = lines_of(load_scenario(folder / "toy.toml"))[:200]
     command = [*RELNAV, "stream", folder / "toy.toml", "--journal", tmp_path / "journal"]
     first = tmp_path / "first"
     with first.open("w", encoding="utf-8") as out:
@@ -162,9 +162,7 @@ def test_row_35_a_journal_played_again_gives_the_same(
     shutil.copy(Path(arguments[3]) / "00000000.journal", first)
     options = ("--from", arguments[1], "--snapshot-every", 40, "--allow-rejects")
     out = tmp_path / "out"
-    code, _, err = relnav(
-        capsys, "stream", arguments[0], *options, "--journal", first, "-o", out
-    )
+    code, _, err = relnav(capsys, "stream", arguments[0], *options, "--journal", first, "-o", out)
     assert code == 0, err
     assert _told(out) == uninterrupted
     again = tmp_path / "again"
@@ -194,7 +192,11 @@ def test_row_35_a_replay_that_comes_out_otherwise_is_an_error(
         for kind, content in records:
             if kind == b"L" and b'"ranger"' in content and not changed_line:
                 at = content.rindex(b".") + 1
-                content = content[:at] + (b"1" if content[at : at + 1] != b"1" else b"2") + content[at + 1 :]
+                content = (
+                    content[:at]
+                    + (b"1" if content[at : at + 1] != b"1" else b"2")
+                    + content[at + 1 :]
+                )
                 changed_line = True
             journal.append(kind, content)
     assert changed_line
