@@ -16,6 +16,7 @@ __all__ = ["main"]
 COMMANDS = {
     "compare": "Run several estimators on the same pass and score them.",
     "simulate": "Simulate a scenario into a data set.",
+    "stream": "Estimate online: JSON lines in, JSON lines out.",
     "smooth": "Smooth the recorded pass of a data set.",
     "explain": "Say, before any data, what the sensors of a scenario can tell.",
     "study": "Make many runs of a scenario and say what they show together.",

@@ -15,8 +15,9 @@ from pydantic import ValidationError
 from relnav_graph import models, sim, so3
 from relnav_graph.compiled import announce
 from relnav_graph.errors import InputError, ModelError
+from relnav_graph.magnitude import wrong_unit
 from relnav_graph.models import Dynamics, Sensor
-from relnav_graph.problem import Prior, Problem, layout_of, make_epochs
+from relnav_graph.problem import Epoch, Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
 from relnav_graph.robust import Loss
@@ -113,16 +114,42 @@ class Scenario:
     def problem(self, recording: Recording, seed: int, run: int = 0) -> Problem:
         """The problem of a recording, with the scenario's prior.
 
-        Raises InputError when the prior asks for a truth that is not known.
+        Raises InputError when the prior asks for a truth that is not known, or when the
+        first measurements fit it in another unit only.
         """
         epochs = make_epochs(
             self.processes, recording.measurements, recording.inputs, recording.times
         )
+        prior = self.prior(recording.truth, epochs[0].t, seed, run)
+        for m in epochs[0].measurements:
+            reason = wrong_unit(self.sensors[m.sensor], m, self.layout, prior.x, prior.P)
+            if reason is not None:
+                raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")
+        return self.problem_at(prior, epochs)
+
+    def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
+        """The problem with a given prior; without epochs, one to be driven online."""
+        models, options = (self.processes, self.sensors), (self.gates, self.file.online.window)
+        return Problem(*models, prior, tuple(epochs), *options, self.losses)
+
+    def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
+        """The prior at time t, s, drawn about the truth where it has no mean.
+
+        Raises InputError when it needs a truth that is not known.
+        """
         rng = sim.stream(seed, run, "prior")
-        prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
-        models = self.processes, self.sensors
-        options = self.gates, self.file.online.window, self.losses
-        return Problem(*models, prior, epochs, *options)
+        return make_prior(self.layout, self.file.prior, truth, t, rng)
+
+    def prior_with(self, means: Mapping[str, Array], t: float) -> Prior:
+        """The prior at time t, s, with `means` for blocks whose mean the scenario leaves open.
+
+        Raises InputError when one is missing.
+        """
+        given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
+        given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}
+        truth = Truth(np.array([t]), {n: value[None] for n, value in means.items()})
+        rng = np.random.default_rng(0)  # nothing is drawn
+        return make_prior(self.layout, {**self.file.prior, **given}, truth, t, rng)
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
@@ -217,6 +244,14 @@ def make_prior(
     return Prior(layout.retract(layout.pack(means), draw), np.diag(sigma**2))
 
 
+def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile | None:
+    """The file without its wrong tables, so that the others are checked all the same."""
+    try:
+        return ScenarioFile.model_validate({k: v for k, v in merged.items() if k not in wrong})
+    except ValidationError:
+        return None
+
+
 def make_scenario(
     raw: Mapping[str, Any], name: str, settings: Mapping[str, Any] | None = None
 ) -> Scenario:
@@ -234,7 +269,7 @@ def make_scenario(
         file = ScenarioFile.model_validate(merged)
     except ValidationError as error:
         problems += from_pydantic("", error)
-        file = None
+        file = _without(merged, {e["loc"][0] for e in error.errors() if e["loc"]})
     orbit = merged.get("orbit")
     made: dict[str, dict[str, Any]] = {"processes": {}, "sensors": {}}
     options: dict[str, SensorOptions] = {}

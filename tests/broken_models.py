@@ -17,10 +17,11 @@ from toy_model import PositionFix, ThermalDrift
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph import graph
 from relnav_graph.compiled import jit
-from relnav_graph.errors import RelnavError
+from relnav_graph.errors import ModelError, RelnavError
 from relnav_graph.estimators import run_estimator
+from relnav_graph.estimators.online import online
 from relnav_graph.models import Measurement
-from relnav_graph.problem import Prior, Problem, make_epochs
+from relnav_graph.problem import Epoch, Prior, Problem, make_epochs
 
 Array = NDArray[np.float64]
 
@@ -186,6 +187,41 @@ def isam2_process(name: str) -> None:
     incremental(factor, [(7, 1), (8, 1)])
 
 
+def online_sensor(name: str) -> None:
+    drive({"fix": SENSORS[name]()}, ThermalDrift(time_constant=1.0, density=1.0))
+
+
+def online_process(name: str) -> None:
+    cls = type("Broken", (ThermalDrift,), {"kernel": staticmethod(PROCESSES[name])})
+    drive({"fix": PositionFix(covariance=np.eye(3))}, cls(time_constant=1.0, density=1.0))
+
+
+def drive(sensors: dict[str, Any], electronics: Any) -> None:
+    """Take two epochs in with every estimator that runs online; it is as before after each
+    error, the last of which is raised."""
+    processes: dict[str, Any] = {
+        "motion": WhiteNoiseAcceleration(acceleration_density=1.0),
+        "drift": electronics,
+    }
+    problem, raised = Problem(processes, sensors, Prior(np.zeros(7), np.eye(7)), ()), []
+    inputs = {name: np.ones((1, 1)) for name in processes}
+    for kind in ("ekf", "isam2", "fixed_lag"):
+        estimator = online(kind, problem)
+        for epoch in (Epoch(0.0, (MEASUREMENT,)), Epoch(1.0, (), inputs)):
+            before = estimator.state()
+            try:
+                estimator.step(epoch)
+            except ModelError as error:
+                after = estimator.state()
+                if any(not np.array_equal(before[k], after[k], True) for k in before | after):
+                    raise SystemExit(f"{kind}: changed by a step that failed") from error
+                raised.append(error)
+                break
+    if len(raised) < 3:
+        raise SystemExit(f"accepted by {3 - len(raised)} estimators")
+    raise raised[-1]
+
+
 WAYS = {
     "assembly_sensor": assembly_sensor,
     "assembly_process": assembly_process,
@@ -193,6 +229,8 @@ WAYS = {
     "model_process": model_process,
     "isam2_sensor": isam2_sensor,
     "isam2_process": isam2_process,
+    "online_sensor": online_sensor,
+    "online_process": online_process,
 }
 
 

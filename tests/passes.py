@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from toy_model import DriftingRange, PositionFix, ThermalDrift
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_graph.cli import main
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Prior, Problem, make_epochs
 from relnav_graph.state import Layout
@@ -103,3 +105,16 @@ def stored(layout: Layout, truth: Truth) -> Array:
 def differences(layout: Layout, a: Array, b: Array) -> Array:
     """Tangent vectors (N, dim) from the trajectory a to b (N, size)."""
     return np.array([layout.local(p, q) for p, q in zip(a, b, strict=True)])
+
+
+# --- the command line ---------------------------------------------------------------------
+
+
+def relnav(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    assert isinstance(stopped.value.code, int)
+    out, err = capsys.readouterr()
+    return stopped.value.code, out, err

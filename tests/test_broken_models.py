@@ -12,7 +12,7 @@ import pytest
 TESTS = Path(__file__).parent
 
 
-def _run(*ways: str) -> dict[tuple[str, str], str]:
+def run_broken(*ways: str) -> dict[tuple[str, str], str]:
     """What became of each broken model, by way of reaching it and name."""
     path = os.pathsep.join([str(TESTS), *filter(None, sys.path)])
     done = subprocess.run(
@@ -35,12 +35,12 @@ def _run(*ways: str) -> dict[tuple[str, str], str]:
 
 @pytest.fixture(scope="module")
 def verdicts() -> dict[tuple[str, str], str]:
-    return _run("assembly_sensor", "assembly_process", "isam2_sensor", "isam2_process")
+    return run_broken("assembly_sensor", "assembly_process", "isam2_sensor", "isam2_process")
 
 
 def test_models_called_from_python_are_guarded_too() -> None:
     """`residual` and `transition` hand the kernel arrays that it may write past as well."""
-    found = _run("model_sensor", "model_process")
+    found = run_broken("model_sensor", "model_process")
     for name in ("outside", "outside_jacobian", "before", "process_outside"):
         way = "model_process" if name.startswith("process") else "model_sensor"
         assert found[way, name].startswith("ModelError: "), f"{name}: {found[way, name]}"

@@ -12,7 +12,8 @@ bit, as if it had come in order.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
-from relnav_graph.errors import EstimationError, InputError, LateError, ModelError
+from relnav_graph.errors import EstimationError, InputError, LateError, ModelError, RelnavError
 from relnav_graph.estimators import GROUP
 from relnav_graph.estimators.ekf import FilterPass
 from relnav_graph.estimators.health import (
@@ -279,7 +280,9 @@ class Online:
             return self.x, self.P
         if inputs is None:
             inputs = held(self.epochs[-1].inputs, self.problem.processes, t - now)
-        x, F, Q = self._assemble(Epoch(t, (), inputs), now).transition(self.x[None])
+        ahead = Epoch(t, (), inputs)
+        with _named(ahead):
+            x, F, Q = self._assemble(ahead, now).transition(self.x[None])
         P = F[0] @ self.P @ F[0].T + Q[0]
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"predict: the state at {t} s is not finite")
@@ -359,7 +362,8 @@ class Online:
         self, s: _State, epoch: Epoch, assembly: Assembly | None = None
     ) -> tuple[_State, tuple[Refusal, ...]]:
         """The state with one more epoch, and what was refused of it."""
-        engine = self.engine.advance(s.engine, epoch, assembly)
+        with _named(epoch):
+            engine = self.engine.advance(s.engine, epoch, assembly)
         monitor = s.monitor.after(epoch.t, engine.done)
         moments, past = (*s.moments, _Moment(s.engine, s.monitor, epoch)), s.past
         length = self.problem.window
@@ -391,6 +395,22 @@ class Online:
         for sensor, _, ids in repeats:
             self._count(sensor, "duplicate", len(ids))
         return estimate
+
+
+@contextmanager
+def _named(epoch: Epoch) -> Iterator[None]:
+    """Whatever a model raises in an epoch becomes a ModelError that says where."""
+    try:
+        yield
+    except RelnavError:
+        raise
+    except np.linalg.LinAlgError as error:
+        raise EstimationError(f"t = {epoch.t} s: {error}") from error
+    except Exception as error:
+        seen = ", ".join(m.sensor for m in epoch.measurements) or "no sensor"
+        raise ModelError(
+            f"t = {epoch.t} s ({seen}): a model raised {type(error).__name__}: {error}"
+        ) from error
 
 
 def online(kind: str, problem: Problem) -> Online:

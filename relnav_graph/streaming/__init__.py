@@ -1,0 +1,1 @@
+"""Online estimation from a stream of lines: sources, order, epochs, journal."""

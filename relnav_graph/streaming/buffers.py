@@ -1,0 +1,127 @@
+"""What a stream holds back: inputs of the window, and epochs that wait for theirs."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.errors import InputError
+from relnav_graph.io.lines import InputSample
+from relnav_graph.models import Measurement
+from relnav_graph.problem import SAME_TIME, InputSeries
+
+__all__ = ["InputBuffer", "Waiting", "WaitingEpoch"]
+
+Array = NDArray[np.float64]
+
+
+class InputBuffer:
+    """Samples of one input in order of time, however they came."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.samples: list[InputSample] = []
+
+    def add(self, sample: InputSample) -> bool:
+        """Put a sample in its place; whether it is new. Raises InputError when it overlaps
+        another one."""
+        k = bisect.bisect_left(self.samples, sample.t_start - SAME_TIME, key=lambda s: s.t_start)
+        for other in self.samples[max(k - 1, 0) : k + 1]:
+            same = abs(np.array([other.t_start - sample.t_start, other.t_end - sample.t_end]))
+            if same.max() <= SAME_TIME and np.array_equal(other.values, sample.values):
+                return False
+            if (
+                other.t_start < sample.t_end - SAME_TIME
+                and sample.t_start < other.t_end - SAME_TIME
+            ):
+                raise InputError(
+                    f"found {sample.t_start} s to {sample.t_end} s, which overlaps"
+                    f" {other.t_start} s to {other.t_end} s"
+                )
+        self.samples.insert(k, sample)
+        return True
+
+    def reach(self, t: float) -> float:
+        """How far the samples go on without a gap from t, s; t itself when they do not."""
+        for sample in self._from(t):
+            if sample.t_start > t + SAME_TIME:
+                break
+            t = max(t, sample.t_end)
+        return t
+
+    def _from(self, t: float) -> Iterator[InputSample]:
+        k = bisect.bisect_right(self.samples, t + SAME_TIME, key=lambda s: s.t_end)
+        return (self.samples[i] for i in range(k, len(self.samples)))
+
+    def series(self, t0: float, t1: float) -> InputSeries:
+        """The samples that touch [t0, t1], s."""
+        chosen = []
+        for sample in self._from(t0):
+            if sample.t_start >= t1 - SAME_TIME:
+                break
+            chosen.append(sample)
+        values = np.array([s.values for s in chosen]).reshape(len(chosen), -1)
+        edges = np.array([(s.t_start, s.t_end) for s in chosen]).reshape(-1, 2)
+        return InputSeries(self.name, edges[:, 0], edges[:, 1], values)
+
+    def bridge(self, t: float) -> InputSample | None:
+        """Fill the gap that begins at t with the mean of its neighbours; None when nothing
+        lies beyond it."""
+        after = next(self._from(t), None)
+        if after is None:
+            return None
+        k = self.samples.index(after)
+        before = self.samples[k - 1] if k else after
+        middle = 0.5 * (before.values + after.values)
+        filled = replace(after, t_start=t, t_end=after.t_start, values=middle)
+        self.samples.insert(k, filled)
+        return filled
+
+    def held(self, t0: float, t1: float) -> InputSeries:
+        """The samples of [t0, t1], s, and from where they end on the newest one."""
+        end = self.reach(t0)
+        if end >= t1 - SAME_TIME or not self.samples:
+            return self.series(t0, t1)
+        past = [s for s in self.samples if s.t_start < end + SAME_TIME]
+        values = (past or self.samples)[-1].values
+        known = self.series(t0, end)
+        return InputSeries(
+            self.name,
+            np.append(known.t_start, end),
+            np.append(known.t_end, t1),
+            np.vstack([known.values.reshape(-1, len(values)), values]),
+        )
+
+    def drop(self, t: float) -> None:
+        """Forget what ends before t, s, but for the newest of it."""
+        gone = bisect.bisect_right(self.samples, t, key=lambda s: s.t_end)
+        del self.samples[: max(gone - 1, 0)]
+
+
+@dataclass
+class WaitingEpoch:
+    """Measurements of one time, not estimated yet; arrival: of the last of them, s."""
+
+    t: float
+    arrival: float
+    measurements: list[Measurement] = field(default_factory=list)
+
+
+class Waiting:
+    """Epochs that wait, in order of time."""
+
+    def __init__(self) -> None:
+        self.epochs: list[WaitingEpoch] = []
+
+    def at(self, t: float, arrival: float) -> WaitingEpoch:
+        """The epoch at t, s: within a microsecond of one that waits, or a new one."""
+        k = bisect.bisect_left(self.epochs, t - SAME_TIME, key=lambda e: e.t)
+        if k == len(self.epochs) or self.epochs[k].t > t + SAME_TIME:
+            self.epochs.insert(k, WaitingEpoch(t, arrival))
+        epoch = self.epochs[k]
+        epoch.arrival = max(epoch.arrival, arrival)
+        return epoch

@@ -1,0 +1,207 @@
+"""The loop of a stream: read a line, journal it, take it in, write what comes of it."""
+
+from __future__ import annotations
+
+import signal
+import struct
+import threading
+import time
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from types import FrameType, TracebackType
+from typing import Any
+
+from relnav_graph.io.lines import Header, dump
+from relnav_graph.streaming.journal import Journal, JournalError, Record
+from relnav_graph.streaming.output import Output
+from relnav_graph.streaming.saved import header_in
+from relnav_graph.streaming.session import Session
+
+__all__ = ["Interrupted", "Interrupts", "Recorder", "journaled_header", "run"]
+
+_OFFSET = struct.Struct("<q")
+_DIGEST = struct.Struct("<qI")
+
+
+class Interrupted(Exception):
+    """Ctrl-C or SIGTERM: `number` is the signal's."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+class Interrupts:
+    """Ctrl-C and SIGTERM end the stream between two lines, never within an update.
+
+    As a context, one in which it waits for others: there the signal breaks it off at once.
+    """
+
+    def __init__(self) -> None:
+        self.caught = 0
+        self._waits = False
+
+    @contextmanager
+    def installed(self) -> Iterator[None]:
+        """Mind the signals; only the main thread of a process can."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        numbers = signal.SIGINT, signal.SIGTERM
+        before = {n: signal.signal(n, self._caught) for n in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _caught(self, number: int, frame: FrameType | None) -> None:
+        self.caught = number
+        if self._waits:
+            raise Interrupted(number)
+
+    def check(self) -> None:
+        """Raise Interrupted if a signal has come."""
+        if self.caught:
+            raise Interrupted(self.caught)
+
+    def __enter__(self) -> None:
+        self._waits = True
+        self.check()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._waits = False
+
+
+def _digest(line: dict[str, Any]) -> bytes:
+    """Number and digest of a line out, but for its latency."""
+    return _DIGEST.pack(line["seq"], zlib.crc32(dump(line).encode()))
+
+
+def journaled_header(journal: Journal) -> Header:
+    """The header of the stream in a journal that is not new."""
+    return header_in(journal.snapshot[_OFFSET.size :])
+
+
+class Recorder:
+    """A session with its journal, if it has one.
+
+    offset: of the source, up to where its lines are in the journal, bytes; skipped: lines
+    that came again; kept, done: see `Output.resume`.
+    """
+
+    def __init__(self, session: Session, journal: Journal | None, every: int) -> None:
+        self.session, self.journal, self.every = session, journal, every
+        self.offset = self.skipped = 0
+        self.kept = self.done = -1
+        self._fresh = 0  # lines since the last snapshot
+
+    def begin(self) -> list[dict[str, Any]]:
+        """Go on where the journal ends: the lines out since its last snapshot, again.
+
+        Raises JournalError when they come out otherwise than they did: on another platform,
+        say, or with another version of a library.
+        """
+        if self.journal is None:
+            return []
+        if not self.journal.snapshot:
+            self._snapshot()
+            return []
+        self.offset = _OFFSET.unpack_from(self.journal.snapshot)[0]
+        self.session.load(self.journal.snapshot[_OFFSET.size :])
+        self.kept = self.session.seq - 1
+        out = []
+        for kind, content in self.journal.records:
+            if kind == b"L":
+                self.offset = _OFFSET.unpack_from(content)[0]
+                out += self._take(content[_OFFSET.size :])
+            elif kind == b"F":
+                out += self.session.end() if content else self.session.pause()
+        self.done = self._verify(out, self.journal.records)
+        self._fresh = self.every  # the next line in begins a new segment
+        return out
+
+    def _verify(self, out: list[dict[str, Any]], records: list[Record]) -> int:
+        found = {line["seq"]: _digest(line) for line in out}
+        seq = self.kept
+        for content in (content for kind, content in records if kind == b"O"):
+            seq = _DIGEST.unpack(content)[0]
+            if found.get(seq) != content:
+                raise JournalError(
+                    f"{self.journal.folder if self.journal else ''}: line {seq} comes out otherwise"
+                    " than it did: another platform, or another version of a library?"
+                )
+        return int(seq)
+
+    def _take(self, raw: bytes) -> list[dict[str, Any]]:
+        return self.session.take(self.session.parse(raw))
+
+    def _snapshot(self) -> None:
+        assert self.journal is not None
+        self.journal.rotate(_OFFSET.pack(self.offset) + self.session.save())
+        self._fresh = 0
+
+    def take(self, raw: bytes) -> list[dict[str, Any]]:
+        """Take in a line; the lines out."""
+        line, end = self.session.parse(raw), self.offset + len(raw) + 1
+        if not self.session.repeats(line):
+            if self.journal is not None:
+                if self._fresh >= self.every:
+                    self._snapshot()
+                self.journal.append(b"L", _OFFSET.pack(end) + raw)
+                self._fresh += 1
+            self.offset = end
+            return self.session.take(line)
+        self.offset, self.skipped = end, self.skipped + 1
+        return []
+
+    def pause(self) -> list[dict[str, Any]]:
+        """The source has come to a pause."""
+        if not self.session.busy:
+            return []
+        if self.journal is not None:
+            self.journal.append(b"F")
+        return self.session.pause()
+
+    def end(self) -> list[dict[str, Any]]:
+        """The source has come to its end."""
+        out = self.pause()
+        if self.journal is not None:
+            self.journal.append(b"F", b"end")
+        return out + self.session.end()
+
+    def told(self, line: dict[str, Any]) -> None:
+        """A line went out."""
+        if self.journal is not None:
+            self.journal.append(b"O", _digest(line))
+
+
+def _write(recorder: Recorder, output: Output, lines: list[dict[str, Any]], begun: float) -> None:
+    for line in lines:
+        fresh = line["seq"] > output.done
+        latency = round(1e3 * (time.perf_counter() - begun), 3)
+        output.write(line["seq"], dump({**line, "latency_ms": latency}))
+        if fresh:
+            recorder.told(line)
+
+
+def run(
+    recorder: Recorder, lines: Iterable[bytes | None], output: Output, interrupts: Interrupts
+) -> None:
+    """Run a stream to its end. Raises Interrupted on a signal; the journal is intact then,
+    and after whatever else is raised."""
+    begun = time.perf_counter()
+    again = recorder.begin()
+    output.resume(recorder.kept, recorder.done)
+    _write(recorder, output, again, begun)
+    for raw in lines:
+        interrupts.check()
+        begun = time.perf_counter()
+        _write(recorder, output, recorder.pause() if raw is None else recorder.take(raw), begun)
+    _write(recorder, output, recorder.end(), begun)

@@ -1,0 +1,85 @@
+"""A session as bytes: what is its own as JSON, the estimator's arrays beside it."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.io.lines import Header, InputSample, input_object, measurement_object
+from relnav_graph.models import Measurement
+from relnav_graph.streaming.buffers import WaitingEpoch
+
+__all__ = [
+    "header_in",
+    "header_object",
+    "pack",
+    "samples",
+    "samples_in",
+    "unpack",
+    "waiting",
+    "waiting_in",
+]
+
+Array = NDArray[np.float64]
+_OWN = "session"
+
+
+def pack(own: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
+    """JSON and arrays as bytes; the same state gives the same bytes back, bit for bit."""
+    stream = io.BytesIO()
+    text = np.frombuffer(json.dumps(own).encode(), dtype=np.uint8)
+    everything: dict[str, Any] = {_OWN: text, **arrays}
+    np.savez(stream, **everything)
+    return stream.getvalue()
+
+
+def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
+    """What `pack` was given."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as found:
+        arrays = {name: found[name] for name in found}
+    return json.loads(arrays.pop(_OWN).tobytes()), arrays
+
+
+def header_object(header: Header) -> dict[str, Any]:
+    """A header as plain values."""
+    return {**vars(header), "prior": dict(header.prior), "settings": dict(header.settings)}
+
+
+def header_in(data: bytes) -> Header:
+    """The header of the session that gave `data`."""
+    return Header(**unpack(data)[0]["header"])
+
+
+def samples(inputs: Sequence[InputSample]) -> list[dict[str, Any]]:
+    """Samples of inputs as plain values."""
+    return [input_object(sample) for sample in inputs]
+
+
+def samples_in(found: Sequence[Mapping[str, Any]]) -> list[InputSample]:
+    """The samples again."""
+    return [
+        InputSample(
+            *(s["input"], s["t_start"], s["t_end"], np.array(s["values"])), s.get("t_arrival")
+        )
+        for s in found
+    ]
+
+
+def waiting(epochs: Sequence[WaitingEpoch]) -> list[Any]:
+    """Epochs that wait as plain values."""
+    return [(e.t, e.arrival, [measurement_object(m) for m in e.measurements]) for e in epochs]
+
+
+def waiting_in(found: Sequence[Any]) -> list[WaitingEpoch]:
+    """The epochs again."""
+    return [WaitingEpoch(t, arrival, [_measurement(m) for m in ms]) for t, arrival, ms in found]
+
+
+def _measurement(line: Mapping[str, Any]) -> Measurement:
+    z, ids = np.array(line["z"]), np.array(line["id"], dtype=np.int64)
+    return Measurement(line["sensor"], line["t"], z, ids, line.get("t_arrival"))

@@ -1,0 +1,375 @@
+"""One stream from its first line to its last: what is taken in when, and what is said of it.
+
+Lines come in any order. Measurements wait until the inputs reach their time and until
+something has arrived after them, so that all that arrives at one moment is one update; then
+they are taken in by order of validity. What comes after a newer epoch is put where it
+belongs, as long as the window holds its time.
+
+The state of a session depends on its lines and on the pauses told to it, on nothing else: no
+clock, no chance. So the journal needs no more than those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.estimators.online import Estimate, Online
+from relnav_graph.io.lines import (
+    Header,
+    InputSample,
+    LineError,
+    Tick,
+    estimate_object,
+    parse_line,
+)
+from relnav_graph.magnitude import wrong_unit
+from relnav_graph.models import Measurement, derived_quantities
+from relnav_graph.problem import SAME_TIME, Epoch, Problem, process_inputs
+from relnav_graph.streaming import saved
+from relnav_graph.streaming.buffers import InputBuffer, Waiting, WaitingEpoch
+
+__all__ = ["Options", "Parsed", "Session"]
+
+Array = NDArray[np.float64]
+Item = Header | Measurement | InputSample | Tick | LineError
+Output = dict[str, Any]
+PATIENCE = 30.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a stream is read.
+
+    max_gap: a line whose time is further than this, s, from the newest one heard of is of
+    another clock; patience: how long, s of the stream's time, a measurement waits for
+    inputs before a gap in them is bridged, None for the window's length, or `PATIENCE`
+    without one; predict_to_now: add the state at the newest time
+    heard of.
+    """
+
+    max_gap: float = 3600.0
+    patience: float | None = None
+    predict_to_now: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Parsed:
+    """A line in: its number, where it has one, and what it says or why it says nothing."""
+
+    n: int | None
+    item: Item
+
+
+class Session:
+    """Estimates from lines. problem: its models and prior; its epochs are not used.
+
+    online: the estimator, which has taken in nothing yet; header: of the stream.
+    """
+
+    def __init__(self, problem: Problem, online: Online, header: Header, options: Options) -> None:
+        self.problem, self.online, self.header, self.options = problem, online, header, options
+        self.columns = {k: v for p in problem.processes.values() for k, v in p.inputs.items()}
+        self.rejected: dict[str, dict[str, int]] = {}
+        self.seq = 0
+        self.status = "LOST"
+        self.lines = 0
+        self._patience = options.patience or problem.window or PATIENCE
+        self._derived = derived_quantities(problem.layout)
+        self._waiting = Waiting()
+        self._inputs = {name: InputBuffer(name) for name in self.columns}
+        self._heard = -np.inf
+        self._last = -1  # number of the last line
+        self._notes: list[dict[str, Any]] = []  # rejected since the last line out
+        self._fits: set[str] = set()  # sensors whose unit is right
+        self._bridged = -np.inf  # end of the last gap in the inputs that was bridged
+        if header.t is not None:
+            self._heard = header.t
+            self._waiting.at(header.t, header.t)
+
+    # --- lines in ------------------------------------------------------------------------
+
+    def parse(self, raw: bytes) -> Parsed:
+        """What a line says; changes nothing."""
+        try:
+            return Parsed(*parse_line(raw, self.problem.sensors, self.columns))
+        except LineError as error:
+            return Parsed(None, error)
+
+    def repeats(self, line: Parsed) -> bool:
+        """Whether a line is one that a sender says again."""
+        return line.n is not None and line.n <= self._last
+
+    def take(self, line: Parsed) -> list[Output]:
+        """Take a line in; the lines out that it brings about."""
+        self.lines += 1
+        self._last = self._last if line.n is None else line.n
+        item = line.item
+        if isinstance(item, LineError):
+            self._reject(item.sensor, item.t, None, item.reason)
+        elif isinstance(item, Header):
+            if self.lines > 1:
+                self._reject(None, None, None, "header: found one after the first line")
+        else:
+            self._hear(item)
+        return self._advance(everything=False)
+
+    def pause(self) -> list[Output]:
+        """The stream has come to a pause, or its end: no more arrives for the moment."""
+        return self._advance(everything=True)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a pause could bring anything about."""
+        return bool(self._waiting.epochs)
+
+    def end(self) -> list[Output]:
+        """The end of the stream: refuse what still waits; the last line, if anything is left
+        to say."""
+        status, message = self.status, "the end of the stream"
+        for epoch in self._waiting.epochs:
+            status, message = "LOST", self._lacking(epoch.t)
+            self._refuse(epoch, message)
+        self._waiting.epochs.clear()
+        return [self._line(self.online.t, status, message, None)] if self._notes else []
+
+    def _reject(self, sensor: str | None, t: float | None, id: int | None, reason: str) -> None:
+        counts = self.rejected.setdefault(sensor or "(unnamed)", {})
+        kind = reason.partition(":")[0]
+        # However the reasons read, there are few of them: memory stays flat.
+        kind = kind if kind in counts or len(counts) < 20 else "other"
+        counts[kind] = counts.get(kind, 0) + 1
+        if len(self._notes) < 1000:
+            self._notes.append({"sensor": sensor, "t": t, "id": id, "reason": reason})
+
+    def _refuse(self, epoch: WaitingEpoch, reason: str) -> None:
+        for m in epoch.measurements:
+            for i in m.ids.tolist():
+                self._reject(m.sensor, m.t, i, reason)
+
+    def _hear(self, item: Measurement | InputSample | Tick) -> None:
+        """Keep a measurement, an input or an epoch, unless its time speaks against it."""
+        name = item.name if isinstance(item, InputSample) else getattr(item, "sensor", None)
+        t = item.t_end if isinstance(item, InputSample) else item.t
+        arrival = t if item.t_arrival is None else item.t_arrival
+        try:
+            self._check_times(item, t, arrival)
+            if isinstance(item, InputSample):
+                if not self._inputs[item.name].add(item):
+                    raise InputError("duplicate: of an input that is there already")
+            else:
+                epoch = self._waiting.at(item.t, arrival)
+                if isinstance(item, Measurement):
+                    epoch.measurements.append(item)
+        except InputError as error:
+            ids = item.ids.tolist() if isinstance(item, Measurement) else [None]
+            for i in ids:
+                self._reject(name, t, i, str(error))
+        else:
+            self._heard = max(self._heard, arrival)
+
+    def _check_times(
+        self, item: Measurement | InputSample | Tick, t: float, arrival: float
+    ) -> None:
+        limit = self.options.max_gap
+        if arrival < t - SAME_TIME:
+            raise InputError(f"clock: it arrives at {arrival} s, before its own time")
+        far = max(abs(time - self._heard) for time in (t, arrival))
+        if self._heard > -np.inf and far > limit:
+            raise InputError(
+                f"clock: {far:.6g} s from the newest time heard of, {self._heard:.6g} s; above"
+                f" {limit:g} s it is taken to be of another clock (--max-gap)"
+            )
+        if self.header.t is not None and t < self.header.t - SAME_TIME:
+            raise InputError(f"late: before the prior, which is of {self.header.t} s")
+        now, start = self.online.t, self._window_start
+        if isinstance(item, InputSample):
+            if now is not None and t <= now + SAME_TIME:
+                raise InputError(f"late: an input of a time before the newest epoch, {now} s")
+        elif now is not None and t < start - SAME_TIME:
+            raise InputError(f"late: before the window, which begins at {start} s")
+
+    @property
+    def _window_start(self) -> float:
+        """Before this time, s, a measurement is too late."""
+        epochs = self.online.epochs
+        return epochs[0].t if epochs else -np.inf
+
+    # --- epochs --------------------------------------------------------------------------
+
+    def _advance(self, everything: bool) -> list[Output]:
+        """Take in the epochs that are complete, in order of time."""
+        out = []
+        while self._waiting.epochs:
+            epoch = self._waiting.epochs[0]
+            if not everything and epoch.arrival >= self._heard - SAME_TIME:
+                break
+            now = self.online.t
+            if now is not None and epoch.t > now and self._lacking(epoch.t):
+                if self._heard - epoch.t <= self._patience:
+                    break
+                if not self._bridge(epoch.t):
+                    self._refuse(self._waiting.epochs.pop(0), self._lacking(epoch.t))
+                    out.append(self._line(epoch.t, "LOST", self._lacking(epoch.t), None))
+                    continue
+            self._waiting.epochs.pop(0)
+            out += self._estimate(epoch)
+        return out
+
+    def _lacking(self, t: float) -> str:
+        """Which input does not reach t, s; "" when all do."""
+        now = self.online.t
+        for name, buffer in self._inputs.items() if now is not None else ():
+            reach = buffer.reach(float(now or 0.0))
+            if reach < t - SAME_TIME:
+                return f"no inputs: {name} reaches {reach} s only"
+        return ""
+
+    def _bridge(self, t: float) -> bool:
+        """Fill the gaps of the inputs up to t; whether that is possible."""
+        now = float(self.online.t or 0.0)
+        for name, buffer in self._inputs.items():
+            while (reach := buffer.reach(now)) < t - SAME_TIME:
+                filled = buffer.bridge(reach)
+                if filled is None:
+                    return False
+                self._bridged = max(self._bridged, filled.t_end)
+                self._reject(
+                    name,
+                    filled.t_end,
+                    None,
+                    f"gap: nothing from {filled.t_start} s to {filled.t_end} s; bridged with the"
+                    " mean of its neighbours",
+                )
+        return True
+
+    def _since(self, now: float, t: float, hold: bool = False) -> dict[str, Array]:
+        """Inputs of each process from the newest epoch on to t."""
+        series = {
+            name: b.held(now, t) if hold else b.series(now, t) for name, b in self._inputs.items()
+        }
+        return {n: process_inputs(p, series, now, t) for n, p in self.problem.processes.items()}
+
+    def _estimate(self, epoch: WaitingEpoch) -> list[Output]:
+        now, measurements = self.online.t, tuple(epoch.measurements)
+        try:
+            if now is not None and epoch.t <= now + SAME_TIME:
+                found = self.online.insert(measurements) if measurements else None
+            else:
+                inputs = {} if now is None else self._since(now, epoch.t)
+                measurements = self._in_right_units(measurements, epoch.t, inputs)
+                found = self.online.step(Epoch(epoch.t, measurements, inputs))
+        except (RelnavError, np.linalg.LinAlgError) as error:
+            self._refuse(epoch, f"failed: {error}")
+            return [self._without(epoch.t, str(error))]
+        if found is None:
+            return []
+        for refusal in found.refused:
+            for i in refusal.ids:
+                self._reject(refusal.sensor, refusal.t, i, refusal.reason)
+        for buffer in self._inputs.values():
+            buffer.drop(found.t)
+        return [self._found(found)]
+
+    def _in_right_units(
+        self, measurements: tuple[Measurement, ...], t: float, inputs: Mapping[str, Array]
+    ) -> tuple[Measurement, ...]:
+        """Those that fit as they are; a sensor's first one must not fit in another unit only."""
+        unknown = {m.sensor for m in measurements} - self._fits
+        if not unknown:
+            return measurements
+        prior, online = self.problem.prior, self.online
+        x, P = (prior.x, prior.P) if online.t is None else online.predict(t, inputs)
+        kept = []
+        for m in measurements:
+            sensor = self.problem.sensors[m.sensor]
+            reason = None
+            if m.sensor in unknown:
+                reason = wrong_unit(sensor, m, self.problem.layout, x, P)
+            if reason is None:
+                kept.append(m)
+                self._fits.add(m.sensor)
+            else:
+                self._refuse(WaitingEpoch(m.t, m.t, [m]), f"unit: {reason}")
+        return tuple(kept)
+
+    # --- lines out -----------------------------------------------------------------------
+
+    def _found(self, found: Estimate) -> Output:
+        status, message = found.status, found.message
+        if status == "OK" and found.t <= self._bridged + self._patience:
+            status, message = "DEGRADED", f"the inputs had a gap until {self._bridged} s"
+        return self._line(found.t, status, message, (found.x, found.P))
+
+    def _without(self, t: float, reason: str) -> Output:
+        """The line of an epoch that could not be taken in: the prediction to it."""
+        now, status = self.online.t, self.online.health(t)[0]
+        status = "DEGRADED" if status == "OK" else status
+        try:
+            if now is None or t < now:
+                return self._line(t, "LOST", reason, None)
+            return self._line(t, status, reason, self.online.predict(t, self._since(now, t)))
+        except (RelnavError, np.linalg.LinAlgError):
+            return self._line(t, "LOST", reason, None)
+
+    def _line(
+        self, t: float | None, status: str, message: str, found: tuple[Array, Array] | None
+    ) -> Output:
+        self.status = status
+        line: Output = {"seq": self.seq, "t": t, "status": status, "message": message}
+        line["estimate"] = None if found is None else self._object(*found)
+        if self.options.predict_to_now and found is not None and t is not None:
+            line["now"] = self._now(t, found)
+        line["rejected"] = self._notes
+        self._notes, self.seq = [], self.seq + 1
+        return line
+
+    def _object(self, x: Array, P: Array) -> dict[str, Any]:
+        return estimate_object(self.problem.layout, self._derived, x, P)
+
+    def _now(self, t: float, found: tuple[Array, Array]) -> dict[str, Any]:
+        """The state at the newest time heard of; where inputs end, the newest ones go on."""
+        newest = self.online.t
+        if newest is not None and t == newest and self._heard > t + SAME_TIME:
+            try:
+                found = self.online.predict(self._heard, self._since(t, self._heard, hold=True))
+                return {"t": self._heard, "estimate": self._object(*found)}
+            except (RelnavError, np.linalg.LinAlgError):
+                return {"t": self._heard, "estimate": None}
+        return {"t": t, "estimate": self._object(*found)}
+
+    # --- as bytes --------------------------------------------------------------------------
+
+    def save(self) -> bytes:
+        """All of its state."""
+        own = {
+            "header": saved.header_object(self.header),
+            "rejected": self.rejected,
+            "seq": self.seq,
+            "status": self.status,
+            "lines": self.lines,
+            "heard": self._heard,
+            "last": self._last,
+            "notes": self._notes,
+            "fits": sorted(self._fits),
+            "bridged": self._bridged,
+            "inputs": {name: saved.samples(b.samples) for name, b in self._inputs.items()},
+            "waiting": saved.waiting(self._waiting.epochs),
+        }
+        return saved.pack(own, self.online.state())
+
+    def load(self, data: bytes) -> None:
+        """Be the session that gave `data`; for one that has taken in nothing yet."""
+        own, arrays = saved.unpack(data)
+        self.online.restore(arrays)
+        self.rejected, self.seq, self.status = own["rejected"], own["seq"], own["status"]
+        self.lines, self._heard, self._last = own["lines"], own["heard"], own["last"]
+        self._notes, self._fits, self._bridged = own["notes"], set(own["fits"]), own["bridged"]
+        for name, samples in own["inputs"].items():
+            self._inputs[name].samples = saved.samples_in(samples)
+        self._waiting.epochs = saved.waiting_in(own["waiting"])
