@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shlex
 import sys
 from typing import Any
 
@@ -18,6 +19,7 @@ COMMANDS = {
     "simulate": "Simulate a scenario into a data set.",
     "smooth": "Smooth the recorded pass of a data set.",
     "study": "Make many runs of a scenario and say what they show together.",
+    "report": "Write one HTML file on a study or a comparison.",
     "validate": "Check a scenario or a data set: every error, with its path.",
     "list": "List models, estimators, truths, readers and scenarios.",
     "convert": "Convert between data folders, data sets and results.",
@@ -56,8 +58,11 @@ def main(argv: list[str] | None = None) -> Any:
     """Run the command line; errors of the input end with exit code 2."""
     from relnav_graph.errors import RelnavError
 
+    given = sys.argv[1:] if argv is None else argv
     try:
-        code = _relnav.main(argv, prog_name="relnav", standalone_mode=False)
+        code = _relnav.main(
+            argv, prog_name="relnav", standalone_mode=False, obj=shlex.join(["relnav", *given])
+        )
     except click.Abort:
         click.echo("interrupted", err=True)
         sys.exit(130)
