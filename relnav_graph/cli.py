@@ -33,8 +33,8 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        # A module named list would hide the builtin from its own package.
-        name = "listing" if cmd_name == "list" else cmd_name
+        # Modules of these names would hide a builtin and a function from their own package.
+        name = {"list": "listing", "report": "reporting"}.get(cmd_name, cmd_name)
         module = importlib.import_module(f"relnav_graph.commands.{name}")
         command: click.Command = module.command
         return command

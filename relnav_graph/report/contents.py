@@ -62,6 +62,7 @@ class StudyContents:
     summary: Mapping[str, Any]
     found: Collected
     command: str
+    versions: Mapping[str, str]
     seed: int
     estimators: Sequence[str]
     judged: str
@@ -149,6 +150,7 @@ def _read_study(path: Path) -> StudyContents:
         found_summary,
         found,
         f"{command} --runs {max([*there, *lost]) + 1}{estimators}" if command else "",
+        found_summary["versions"],
         spec.seed,
         spec.estimators,
         judged,

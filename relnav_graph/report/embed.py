@@ -12,44 +12,44 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image
 
 from relnav_graph.plots import STYLE
 
 __all__ = ["encode", "image"]
 
-_DPI = 160
-
-
-def _svg(figure: Figure) -> bytes:
-    stream = io.StringIO()
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    figure.savefig(stream, format="svg", metadata=nothing, transparent=True)
-    text = stream.getvalue()
-    # Without the prologue, which names a document type elsewhere.
-    return text[text.index("<svg") :].encode()
-
-
-def _png(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
-    return stream.getvalue()
+_DPI = 200
+#: Of the palette: a third of the size of full colour, and no difference to be seen.
+_COLOURS = 128
 
 
 def image(figure: Figure) -> str:
-    """A figure as the address of an image that is its own content: SVG, or PNG where that
-    is smaller."""
+    """A figure as the address of an image that is its own content.
+
+    A PNG with a palette: of these figures, with a thousand points and shaded bands, it is
+    a fifth of the size of an SVG. Its paper is transparent.
+    """
+    full, small = io.BytesIO(), io.BytesIO()
     with mpl.rc_context(STYLE):
-        choices = {"image/svg+xml": _svg(figure), "image/png": _png(figure)}
-    kind = min(choices, key=lambda k: len(choices[k]))
-    return f"data:{kind};base64,{base64.b64encode(choices[kind]).decode()}"
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # placed once: it takes longer than drawing
+        figure.savefig(full, format="png", dpi=_DPI, transparent=True)
+    with Image.open(full) as picture:
+        palette = picture.quantize(
+            _COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+        )
+        palette.save(small, "PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"
 
 
 def _plain(value: Any) -> Any:
     """Arrays as plotly's typed arrays of single precision: finer than any screen."""
     if isinstance(value, np.ndarray):
-        if value.dtype.kind in "iu":
-            return {"dtype": "i4", "bdata": base64.b64encode(value.astype("<i4")).decode()}
-        return {"dtype": "f4", "bdata": base64.b64encode(value.astype("<f4")).decode()}
+        kind = "i4" if value.dtype.kind in "iu" else "f4"
+        return {
+            "dtype": kind,
+            "bdata": base64.b64encode(value.astype(f"<{kind}").tobytes()).decode(),
+        }
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"cannot encode {type(value)}")

@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogFormatterSciNotation
 from numpy.typing import NDArray
 
 from relnav_graph.deviation import chi2_band
@@ -33,6 +34,10 @@ Array = NDArray[np.float64]
 KINDS: tuple[Kind, ...] = ("filtered", "fixed-lag", "smoothed")
 #: Runs whose numbers are joined by a line from row to row: more would be mud.
 _JOINED = 100
+#: How a row is called that is what a filter's run ends with, smoothed.
+_ENDS = "_smoothed"
+#: Width of the lines of predicted sigmas, beside errors of 1.4.
+_THIN = 0.6
 #: Part of the components of a normal error within 1, 2 and 3 sigma.
 _NORMAL = (0.6827, 0.9545, 0.9973)
 
@@ -77,19 +82,23 @@ class RunFigures:
         groups = [(kind, [n for n in names if rows[n].kind == kind]) for kind in KINDS]
         return [(kind, group) for kind, group in groups if group]
 
+    def _style(self, name: str) -> dict[str, Any]:
+        """Of a row in a panel of its kind, so that its label need not say it."""
+        return {**self.styles[name], "label": name}
+
     def drawn(self) -> list[str]:
         """Rows that have numbers over the pass."""
         return [n for n, row in self._found.rows.items() if row.series.total is not None]
 
     def _legend(self, figure: Figure, names: Sequence[str], *more: Any) -> None:
-        handles: list[Any] = [Line2D([], [], **self.styles[n]) for n in names]
+        handles: list[Any] = [Line2D([], [], **self._style(n)) for n in names]
         figure.legend(handles=[*handles, *more], loc="outside upper center", ncols=4)
 
     def _bound(self, kind: Kind, state: str, index: int) -> Array | None:
         series = self._found.bound_series.get(kind)
         if series is None or (kind, state) not in self._found.bound:
             return None
-        return np.sqrt(series.mean[index, 2])
+        return np.asarray(np.sqrt(series.mean[index, 2]))
 
     def rms(self, state: str) -> Figure:
         """RMS error over the pass, predicted sigma and bound, a panel per kind."""
@@ -102,12 +111,11 @@ class RunFigures:
                 self._draw_rms(ax, state, kind, names)
             unit = "" if block.table_unit == "1" else f" [{block.table_unit}]"
             panels[0].set_ylabel(f"{plain(state)} {symbol(block)}{unit}")
-            dark = {"color": "0.3", "linewidth": 0.8}
             self._legend(
                 figure,
                 [n for _, names in groups for n in names],
-                Line2D([], [], linestyle=(0, (4, 2)), label="predicted 1-sigma", **dark),
-                Line2D([], [], linestyle=":", label="bound", color="black", linewidth=1.4),
+                Line2D([], [], color="0.3", label="predicted 1-sigma", linewidth=_THIN),
+                Line2D([], [], color="black", label="bound", linewidth=1.4, linestyle=":"),
             )
         return figure
 
@@ -117,8 +125,8 @@ class RunFigures:
             row = self._found.rows[name]
             index = list(row.units).index(state)
             error, _, trace = row.series.mean[index]
-            style = {**self.styles[name], "linestyle": "solid"}
-            thin = {"color": style["color"], "linewidth": 0.8, "linestyle": (0, (4, 2))}
+            style = self._style(name) | {"linewidth": 1.4}
+            thin = {"color": style["color"], "linewidth": _THIN}
             ax.semilogy(self.t, scale * np.sqrt(trace), label="predicted 1-sigma", **thin)
             ax.semilogy(self.t, scale * np.sqrt(error), **style)
         bound = self._bound(kind, state, index)
@@ -140,7 +148,7 @@ class RunFigures:
             panels = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
             for ax, (kind, group) in zip(panels, groups, strict=True):
                 for name in group:
-                    ax.plot(self.t, self._joint(name), **self.styles[name])
+                    ax.plot(self.t, self._joint(name), **self._style(name))
                 row = self._found.rows[group[0]]
                 counted = int(np.isfinite(row.own["anees"]).sum())
                 _draw_band(ax, chi2_band(row.freedoms["joint"], counted))
@@ -177,7 +185,7 @@ class RunFigures:
             if sensor in order:
                 index = order.index(sensor)
                 values = row.nis.mean[index]
-                ax.plot(self.t, values, **self.styles[name])
+                ax.plot(self.t, values, **self._style(name))
                 # Rows that fall into a bin, were they spread evenly over those that have any.
                 seen = np.isfinite(values)
                 total = float(np.nansum(row.of_sensor(sensor, "rows")))
@@ -221,9 +229,9 @@ class RunFigures:
             dot = {"color": self.styles[name]["color"], "linestyle": "none", "label": name}
             ax.semilogy(np.full(len(values), k), values, marker=".", markersize=3.5, **dot)
         # The axis may begin with any power, but never without a labelled tick.
-        ax.yaxis.set_minor_formatter(mpl.ticker.LogFormatterSciNotation(minor_thresholds=(1.5, 0.6)))
+        ax.yaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(1.5, 0.6)))
         ax.tick_params(axis="y", which="both", labelsize=6)
-        short = [f"{n.removesuffix('_smoothed')}{'*' if n.endswith('_smoothed') else ''}" for n in rmse]
+        short = [f"{n[: -len(_ENDS)]}*" if n.endswith(_ENDS) else n for n in rmse]
         ax.set_xticks(range(len(rmse)), short, rotation=30, fontsize=6)
         ax.set_xlim(-0.5, len(rmse) - 0.5)
         edge = sum(rows[n].kind != "smoothed" for n in rmse) - 0.5

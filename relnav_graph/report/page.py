@@ -27,48 +27,53 @@ __all__ = ["MAX_BYTES", "render", "write_report"]
 
 #: No report is larger: it must travel by mail.
 MAX_BYTES = 10_000_000
-#: What tables, text and the images of figures that are not zoomable may take of it.
-_RESERVE = 1_500_000
+#: What tables and text may take of it.
+_RESERVE = 500_000
 
 
 @dataclass(frozen=True)
 class Shown:
     """A figure of the page: how it is called, how to read it, its image (empty for one
-    that lives in the browser only), and the key of its zoomable form, if any."""
+    that lives in the browser only), and the key of its zoomable form."""
 
     title: str
     caption: str
-    image: str = ""
-    key: str = ""
+    image: str
+    key: str
 
 
 @dataclass(eq=False)
 class _Gallery:
-    """Makes figures of the page while there is room in the file."""
+    """The figures of the page: images of all, and what can be zoomed as far as it fits."""
 
-    plotly: str
-    room: int
-    zoomed: dict[str, str] = field(default_factory=dict)
+    waiting: dict[str, Figure | Scene] = field(default_factory=dict)
+    taken: int = 0
 
     def add(self, title: str, caption: str, figure: Figure) -> Shown:
-        """An image, and where there is room for it, also what can be zoomed."""
-        picture, key = image(figure), ""
-        self.room -= len(picture)
-        if self.plotly:
-            key = self._keep(encode(zoomable(figure)))
-        return Shown(title, caption, picture, key)
+        """A figure that is shown as an image where it cannot be zoomed."""
+        return self._add(title, caption, image(figure), figure)
 
-    def add_scene(self, title: str, caption: str, scene: Scene) -> Shown | None:
-        key = self._keep(encode(scene.figure)) if self.plotly else ""
-        return Shown(title, caption, key=key) if key else None
+    def add_scene(self, scene: Scene) -> Shown:
+        """A figure that is shown only where plotly is."""
+        return self._add("The pass in space", _scene_caption(scene), "", scene)
 
-    def _keep(self, text: str) -> str:
-        if len(text) > self.room:
-            return ""
-        self.room -= len(text)
-        key = f"figure-{len(self.zoomed) + 1}"
-        self.zoomed[key] = text
-        return key
+    def _add(self, title: str, caption: str, picture: str, figure: Figure | Scene) -> Shown:
+        self.taken += len(picture)
+        shown = Shown(title, caption, picture, f"figure-{len(self.waiting) + 1}")
+        self.waiting[shown.key] = figure
+        return shown
+
+    def zoomed(self, room: int) -> dict[str, str]:
+        """What can be zoomed by key, in at most `room` bytes: scenes first."""
+        found = {}
+        room -= self.taken
+        for key, figure in sorted(self.waiting.items(), key=lambda f: isinstance(f[1], Figure)):
+            tree = zoomable(figure) if isinstance(figure, Figure) else figure.figure
+            text = encode(tree)
+            if len(text) <= room:
+                found[key] = text
+                room -= len(text)
+        return found
 
 
 def _plotly() -> str:
@@ -87,8 +92,9 @@ def _over_runs(study: StudyContents, gallery: _Gallery) -> dict[str, list[Shown]
     rms = [
         gallery.add(
             f"RMS error: {plain(state)}",
-            f"Solid: root mean square over {runs} runs. Dashed: the 1-sigma that the estimator"
-            " itself predicts; where both agree, it knows how good it is. Dotted: the bound, from"
+            f"Heavy: root mean square over {runs} runs. Thin, in the same colour: the 1-sigma that"
+            " the estimator predicts; where both agree, it knows how good it is. Dotted: the bound,"
+            " from"
             " the information of all measurements at the true states; no unbiased estimator does"
             " better.",
             figures.rms(state),
@@ -139,7 +145,7 @@ def _of_pass(content: PassContents, gallery: _Gallery) -> dict[str, Any]:
     shown: dict[str, Any] = {"scene": None, "path": None, "errors": []}
     scene = make_scene(content)
     if scene is not None:
-        shown["scene"] = gallery.add_scene("The pass in space", _scene_caption(scene), scene)
+        shown["scene"] = gallery.add_scene(scene)
     path = trajectory_figure(content.tracks, content.truth, derived)
     if path is not None:
         caption = "The path of the chaser relative to the target, in the three planes of the frame."
@@ -200,6 +206,7 @@ def _study_context(study: StudyContents, gallery: _Gallery) -> dict[str, Any]:
 
 def _ranges(runs: list[int]) -> str:
     """Numbers of runs in words: 0 to 9, 12."""
+
     def parts() -> Iterator[str]:
         start = 0
         for k in range(1, len(runs) + 1):
@@ -218,7 +225,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
     Raises InputError when it would be larger than `MAX_BYTES`.
     """
     plotly = _plotly() if plotly is None else plotly
-    gallery = _Gallery(plotly, MAX_BYTES - _RESERVE - len(plotly.encode()))
+    gallery = _Gallery()
     summary, scenario = content.summary, content.scenario
     study = isinstance(content, StudyContents)
     context: dict[str, Any] = {
@@ -233,7 +240,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "overview": tables.overview(summary),
         "results": tables.results(summary),
         "command": content.command,
-        "versions": summary["versions"] if study else content.versions,
+        "versions": content.versions,
         "version": __version__,
     }
     if isinstance(content, StudyContents):
@@ -244,7 +251,9 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     source = (resources.files(__package__) / "page.html.j2").read_text("utf-8")
-    context |= {"plotly": plotly if gallery.zoomed else "", "zoomed": gallery.zoomed}
+    room = MAX_BYTES - _RESERVE - len(plotly.encode())
+    zoomed = gallery.zoomed(room) if plotly else {}
+    context |= {"plotly": plotly if zoomed else "", "zoomed": zoomed}
     text = environment.from_string(source).render(has_plotly=bool(plotly), **context)
     size = len(text.encode())
     if size > MAX_BYTES:

@@ -174,7 +174,7 @@ def make_scene(content: PassContents) -> Scene | None:
     data, frames = _moving(t, path, *moving)
     data += _paths(content, rows, path, true is not None, error_scale, np.unique(k))
     figure = {"data": data, "layout": _layout(t, block.frame[-1], centre, half, frames)}
-    scene = Scene(
+    return Scene(
         figure | {"frames": frames},
         block.frame[-1],
         turning,
@@ -183,7 +183,6 @@ def make_scene(content: PassContents) -> Scene | None:
         error_scale,
         list(rows),
     )
-    return scene
 
 
 def _moving(
@@ -224,14 +223,14 @@ def _paths(
     styles, step = row_styles(kinds), -(-len(path) // _POINTS)
     out: list[dict[str, Any]] = []
     if true:
-        black = {"line": {"color": "black", "width": 4}, "name": "true path"}
+        black: dict[str, Any] = {"line": {"color": "black", "width": 4}, "name": "true path"}
         out.append({"type": "scatter3d", "mode": "lines", **_xyz(path[::step]), **black})
     for name, state in rows.items():
         drawn = path + scale * (state.value - path) if true else state.value
         group = {"name": styles[name]["label"], "legendgroup": name}
         colour = styles[name]["color"]
-        line = {"line": {"color": colour, "width": 3}, "mode": "lines", **group}
-        out.append({"type": "scatter3d", **_xyz(drawn[::step]), **line})
+        thin: dict[str, Any] = {"line": {"color": colour, "width": 3}, "mode": "lines"}
+        out.append({"type": "scatter3d", **_xyz(drawn[::step]), **thin, **group})
         mesh = {"color": colour, "opacity": 0.25, "hoverinfo": "skip", "showlegend": False}
         out.append({"type": "mesh3d", **_ellipsoids(drawn[k], state.P[k], scale), **mesh, **group})
     return out
@@ -264,14 +263,20 @@ def _layout(
     ]
     bottom = {"y": 0, "yanchor": "top", "pad": {"t": 24}}
     menu = {"type": "buttons", "direction": "left", "x": 0, "xanchor": "left", "buttons": buttons}
-    now = {"prefix": "t = ", "suffix": " s", "font": {"size": 12}}
+    now = {"prefix": "t = ", "suffix": " s", "font": {"size": 12, "color": "#222"}}
     slider = {"x": 0.18, "len": 0.8, "steps": steps, "currentvalue": now, "ticklen": 0,
               "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}  # fmt: skip
     return {
         "height": 640,
-        "margin": {"l": 0, "r": 0, "t": 8, "b": 8},
-        "scene": {**axes, "aspectmode": "cube", "dragmode": "orbit"},
-        "legend": {"orientation": "h", "x": 0.5, "xanchor": "center", "y": 1, "yanchor": "top"},
+        "margin": {"l": 0, "r": 0, "t": 48, "b": 8},
+        "scene": {
+            **axes,
+            "aspectmode": "cube",
+            "dragmode": "orbit",
+            "camera": {"eye": {"x": 1.1, "y": 1.0, "z": 0.75}, "center": {"z": -0.08}},
+        },
+        "legend": {"orientation": "h", "x": 0, "y": 1.01, "yanchor": "bottom"},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#9a9a9a", "activecolor": "#444"},
         "font": {"size": 11, "family": "system-ui, sans-serif", "color": "#222"},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "updatemenus": [{**menu, **bottom, "showactive": False}],

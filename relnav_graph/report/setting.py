@@ -16,6 +16,7 @@ __all__ = ["models", "prior", "simulated", "toml"]
 
 #: Values longer than this are in the scenario's tables at the end of the report.
 _LONG = 60
+_MEANS = {"drawn": "drawn about the truth", "truth": "the truth"}
 
 
 def _says(model: Any) -> str:
@@ -41,7 +42,7 @@ def models(scenario: Scenario) -> Table:
     for section, found in (("processes", scenario.processes), ("sensors", scenario.sensors)):
         for name, model in found.items():
             table = scenario.raw[section][name]
-            body.append([Cell(section.removesuffix("s").removesuffix("e")), Cell(name, "strong"),
+            body.append([Cell("process" if section == "processes" else "sensor"), Cell(name, "strong"),
                          Cell(model.kind, "code"), Cell(_says(model)),
                          Cell(_parameters(table))])  # fmt: skip
     return Table(["", "name", "kind", "what it is", "parameters"], body, 5)
@@ -66,10 +67,9 @@ def prior(scenario: Scenario) -> Table:
     body = []
     for block in scenario.layout:
         one = scenario.file.prior[block.name]
-        mean = {"draw": "drawn about the truth"}.get(str(one.mean), _value(one.mean))
-        frame = f"{block.frame[-1:]}"
-        body.append([Cell(plain(block.name), "strong"), Cell(frame), Cell(_value(one.sigma)),
-                     Cell(mean)])  # fmt: skip
+        mean = _MEANS.get(str(one.mean), _value(one.mean))
+        texts = (block.frame[-1:], _value(one.sigma), mean)
+        body.append([Cell(plain(block.name), "strong"), *map(Cell, texts)])
     return Table(["state", "frame", "1-sigma", "mean"], body, 4)
 
 

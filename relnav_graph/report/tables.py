@@ -22,7 +22,8 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """head and rows; the first `words` columns are text, the others numbers."""
+    """head and rows; the first `words` columns are text, the others numbers. A row of one
+    cell is the heading of those below it."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[Cell]]
@@ -96,15 +97,19 @@ def overview(summary: Mapping[str, Any]) -> Table:
     return Table(head, rows, 3)
 
 
-def _result(name: str, state: Mapping[str, Any], study: bool) -> list[Cell]:
+def _result(
+    name: str, state: Mapping[str, Any], study: bool, judged: Mapping[str, Any] | None
+) -> list[Cell]:
     cells: list[Any] = [name, number(state.get("rmse"))]
     if study:
         cells.append(_interval(state.get("rmse_ci")))
     cells += [number(state.get("rmse_last")), number(state["sigma"])]
     if study:
         cells += [number(state.get("bound")), number(state.get("efficiency"), 3)]
-    cells += [_inside(state.get("anees"), state.get("anees_band")),
-              _percent(state.get("inside_3sigma"))]  # fmt: skip
+    anees = _inside(state.get("anees"), state.get("anees_band"))
+    if judged is not None:  # which also lets small deviations of large studies pass
+        anees = Cell(anees.text, _judged(judged).mark)
+    cells += [anees, _percent(state.get("inside_3sigma"))]
     if study:
         settled, share = state.get("convergence_s"), state.get("converged")
         late = "" if share is None or share == 1 else f" (in {_percent(share, 0)})"
@@ -115,23 +120,23 @@ def _result(name: str, state: Mapping[str, Any], study: bool) -> list[Cell]:
 def results(summary: Mapping[str, Any]) -> dict[str, Table]:
     """A table for each kind of estimate, which are not comparable: filtered rows know the
     past, fixed-lag ones a little more, smoothed ones everything."""
-    study = "runs" in summary
-    head = ["state", "row", "RMSE", *(["95 % interval"] if study else []), "last epoch", "1-sigma",
+    study, verdict = "runs" in summary, summary.get("verdict", {}).get("states", {})
+    head = ["row", "RMSE", *(["95 % interval"] if study else []), "last epoch", "1-sigma",
             *(["bound", "RMSE / bound"] if study else []), "ANEES", "within 3 sigma",
             *(["converged [s]"] if study else [])]  # fmt: skip
-    out = {}
+    out: dict[str, Table] = {}
     for kind in KINDS:
         rows = {n: r for n, r in summary["estimators"].items() if r["kind"] == kind}
         units = {s: v["unit"] for row in rows.values() for s, v in row["states"].items()}
         body = []
         for state, unit in units.items():
-            first = Cell(_unit(state, unit), "strong")
+            body.append([Cell(_unit(state, unit), "strong")])
             for name, row in rows.items():
                 if state in row["states"]:
-                    body.append([first, *_result(name, row["states"][state], study)])
-                    first = Cell("")
+                    judged = verdict.get(name, {}).get(state)
+                    body.append(_result(name, row["states"][state], study, judged))
         if body:
-            out[kind] = Table(head, body, 2)
+            out[kind] = Table(head, body)
     return out
 
 
@@ -152,8 +157,9 @@ def sensor_judgements(summary: Mapping[str, Any]) -> Table | None:
     for name, row in summary["estimators"].items():
         for sensor, judged in summary["verdict"]["sensors"].get(name, {}).items():
             values = row["sensors"][sensor]
-            lag = Cell(number(values["lag_correlation"], 2), "bad" if judged["coloured"] else "good")
-            nis = _inside(values["nis"], values["nis_band"])
+            mark = "bad" if judged["coloured"] else "good"
+            lag = Cell(number(values["lag_correlation"], 2), mark)
+            nis = Cell(number(values["nis"], 3), _judged(judged).mark)
             body.append([*_cells([name, sensor]), _judged(judged), nis,
                          Cell(_interval(values["nis_band"])), lag,
                          Cell(_interval(values["lag_band"], 2))])  # fmt: skip
@@ -196,8 +202,8 @@ def paired(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
             mark = "" if band is None or band[0] <= 0 <= band[1] else "good"
             mark = "bad" if mark and band[1] < 0 else mark
             removed = Cell(_percent(one["improvement"]), mark)
-            body.append([Cell(plain(state), "strong"), removed,
-                         *_cells([_percents(band), _percent(one["better_in"], 0), one["runs"]])])  # fmt: skip
+            rest = _cells([_percents(band), _percent(one["better_in"], 0), one["runs"]])
+            body.append([Cell(plain(state), "strong"), removed, *rest])
         (a, b), (first, second) = (pair["a"], pair["b"]), pair["kinds"]
         out.append((f"{a} ({first}) to {b} ({second})", Table(head, body)))
     return out

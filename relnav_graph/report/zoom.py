@@ -17,11 +17,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator
+from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["zoomable"]
 
 _PIXELS = 112  # of an inch: the width of the page's column
 _SYMBOLS = {"D": "diamond", "s": "square", "+": "cross-thin-open"}
+#: Height of the buttons that appear above a figure, pixels.
+_BUTTONS = 24
 #: Epochs of a track that are drawn, and up to which its bands are filled: a pass of a
 #: hundred thousand epochs must not fill the file.
 _POINTS, _FILLED = 1000, 300
@@ -34,6 +37,7 @@ def _rgba(colour: Any, alpha: float | None = None) -> str:
 
 def _html(text: str) -> str:
     """Labels with the little mathematics that they hold: $x_{t}$, $r_{tc}^{o}$."""
+
     def inner(match: re.Match[str]) -> str:
         one = re.sub(r"_\{(.*?)\}", r"<sub>\1</sub>", match[1])
         one = re.sub(r"\^\{(.*?)\}", r"<sup>\1</sup>", one)
@@ -58,10 +62,11 @@ def _line_style(line: Line2D) -> dict[str, Any]:
     return {"mode": "lines", "line": {"color": colour, "width": width, "dash": _dash(line)}}
 
 
-def _thinned(x: Any, y: Any) -> tuple[dict[str, Any], Any]:
+def _thinned(x: ArrayLike, y: ArrayLike) -> tuple[dict[str, Any], NDArray[np.float64]]:
     """At most so many points; times that are evenly spaced as start and step."""
-    step = -(-len(x) // _POINTS)
-    x, y = np.asarray(x, dtype=np.float64)[::step], np.asarray(y, dtype=np.float64)[::step]
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    step = max(1, -(-len(x) // _POINTS))
+    x, y = x[::step], y[::step]
     d = np.diff(x)
     if len(d) > 1 and d[0] > 0 and np.ptp(d) < 1e-6 * d[0]:
         return {"x0": float(x[0]), "dx": float(d[0])}, y
@@ -76,10 +81,10 @@ def _lines(ax: Axes, on: dict[str, str]) -> list[dict[str, Any]]:
             continue  # of the whole panel: a shape
         label = str(line.get_label())
         group = "" if label.startswith("_") else label
-        xs, y = _thinned(x, y)
+        xs, ys = _thinned(x, y)
         hover = {"hoverinfo": "x+y+name"} if group else {"hoverinfo": "skip"}
         style = {"name": group, "legendgroup": group, "showlegend": False, **hover}
-        out.append({"type": "scatter", **xs, "y": y, **_line_style(line), **style, **on})
+        out.append({"type": "scatter", **xs, "y": ys, **_line_style(line), **style, **on})
     return out
 
 
@@ -121,10 +126,8 @@ def _shapes(ax: Axes, x: str, y: str) -> list[dict[str, Any]]:
 def _axis(ax: Axes, which: str) -> dict[str, Any]:
     axis, box = getattr(ax, f"{which}axis"), ax.get_position()
     log = axis.get_scale() == "log"
-    low, high = axis.get_view_interval()
-    ends = [float(np.log10(v)) if log else float(v) for v in (low, high)]
-    if axis.get_inverted():
-        ends.reverse()
+    limits = ax.get_xlim() if which == "x" else ax.get_ylim()
+    ends = [float(np.log10(v)) if log else float(v) for v in limits]
     domain = [box.x0, box.x1] if which == "x" else [box.y0, box.y1]
     out: dict[str, Any] = {
         "domain": [min(max(float(v), 0.0), 1.0) for v in domain],
@@ -143,7 +146,8 @@ def _axis(ax: Axes, which: str) -> dict[str, Any]:
         ),
     }
     if log:
-        out |= {"dtick": "D1" if ends[1] - ends[0] < 1.5 else 1, "exponentformat": "e"}
+        decades = abs(ends[1] - ends[0])
+        out["dtick"] = "D1" if decades < 0.5 else "D2" if decades < 2 else 1
     if isinstance(axis.get_major_locator(), FixedLocator):
         texts = [t.get_text() for t in axis.get_ticklabels()]
         out |= {"tickvals": list(axis.get_ticklocs()), "ticktext": texts}
@@ -186,7 +190,8 @@ def _legend(figure: Figure) -> list[dict[str, Any]]:
 
 def zoomable(figure: Figure) -> dict[str, Any]:
     """The figure as data and layout of plotly, arrays left as they are."""
-    figure.draw_without_rendering()  # places the panels
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()  # places the panels
     data, annotations, shapes = _legend(figure), list[Any](), list[Any]()
     layout: dict[str, Any] = {}
     seen: list[Axes] = []
@@ -213,14 +218,23 @@ def zoomable(figure: Figure) -> dict[str, Any]:
     if figure.get_supylabel():
         at = {"x": 0, "y": 0.5, "textangle": -90, "xanchor": "left", "yanchor": "middle"}
         annotations.append({"text": _html(figure.get_supylabel()), **at, **common})
-    bottom = any(box.get_window_extent().y0 < 0.2 * figure.bbox.height for box in figure.legends)
-    where = {"y": -0.02, "yanchor": "top"} if bottom else {"y": 1.0, "yanchor": "top"}
+    lines = _legend_lines(figure)
+    top = _BUTTONS + 24 + 20 * (lines - 1)
+    height = round(_PIXELS * figure.get_figheight()) + top
     layout |= {
-        "height": round(_PIXELS * figure.get_figheight()),
-        "margin": {"l": 0, "r": 8, "t": 24, "b": 30 if bottom else 4},
+        "height": height,
+        "margin": {"l": 0, "r": 8, "t": top, "b": 4},
         "annotations": annotations,
         "shapes": shapes,
-        "legend": {"orientation": "h", "x": 0.5, "xanchor": "center", "font": {"size": 11}, **where},
+        "legend": {
+            "orientation": "h",
+            "x": 0,
+            "font": {"size": 11},
+            "yref": "container",
+            "y": 1 - _BUTTONS / height,
+            "yanchor": "top",
+        },
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#9a9a9a", "activecolor": "#444"},
         "showlegend": bool(figure.legends),
         "font": {"size": 11, "family": "system-ui, sans-serif", "color": "#222"},
         "paper_bgcolor": "rgba(0,0,0,0)",
@@ -228,3 +242,10 @@ def zoomable(figure: Figure) -> dict[str, Any]:
         "hovermode": "closest",
     }
     return {"data": data, "layout": layout}
+
+
+def _legend_lines(figure: Figure) -> int:
+    """In how many lines the legend stands above panels as wide as the page's column."""
+    texts = [text.get_text() for box in figure.legends for text in box.get_texts()]
+    width = sum(50 + 6.5 * len(text) for text in texts)
+    return max(1, -(-int(width) // 850))
