@@ -57,4 +57,5 @@ def _plain(value: Any) -> Any:
 
 def encode(tree: Mapping[str, Any]) -> str:
     """A figure of plotly as JSON that can stand in a script element."""
-    return re.sub("<", "\\\\u003c", json.dumps(tree, default=_plain, separators=(",", ":")))
+    text = json.dumps(tree, default=_plain, separators=(",", ":"), allow_nan=False)
+    return re.sub("<", "\\\\u003c", text)

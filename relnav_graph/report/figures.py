@@ -151,7 +151,7 @@ class RunFigures:
                     ax.plot(self.t, self._joint(name), **self._style(name))
                 row = self._found.rows[group[0]]
                 counted = int(np.isfinite(row.own["anees"]).sum())
-                _draw_band(ax, chi2_band(row.freedoms["joint"], counted))
+                _draw_band(ax, chi2_band(row.freedoms["joint"], max(counted, 1)))
                 _limit_ratio(ax)
                 ax.set_title(kind, loc="left")
                 ax.set_xlabel("time [s]")

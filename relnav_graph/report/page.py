@@ -23,7 +23,7 @@ from relnav_graph.report.figures import RunFigures, plain
 from relnav_graph.report.scene import Scene, make_scene
 from relnav_graph.report.zoom import zoomable
 
-__all__ = ["MAX_BYTES", "render", "write_report"]
+__all__ = ["MAX_BYTES", "Gallery", "render", "write_report"]
 
 #: No report is larger: it must travel by mail.
 MAX_BYTES = 10_000_000
@@ -43,7 +43,7 @@ class Shown:
 
 
 @dataclass(eq=False)
-class _Gallery:
+class Gallery:
     """The figures of the page: images of all, and what can be zoomed as far as it fits."""
 
     waiting: dict[str, Figure | Scene] = field(default_factory=dict)
@@ -85,7 +85,7 @@ def _plotly() -> str:
     return str(get_plotlyjs())
 
 
-def _over_runs(study: StudyContents, gallery: _Gallery) -> dict[str, list[Shown]]:
+def _over_runs(study: StudyContents, gallery: Gallery) -> dict[str, list[Shown]]:
     """Figures of what runs show together, by chapter."""
     figures = RunFigures(study)
     runs = study.summary["runs"]
@@ -139,7 +139,7 @@ def _over_runs(study: StudyContents, gallery: _Gallery) -> dict[str, list[Shown]
     }
 
 
-def _of_pass(content: PassContents, gallery: _Gallery) -> dict[str, Any]:
+def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
     """The scene of a pass, and its figures."""
     derived = derived_quantities(content.scenario.layout)
     shown: dict[str, Any] = {"scene": None, "path": None, "errors": []}
@@ -180,7 +180,7 @@ def _scene_caption(scene: Scene) -> str:
     )
 
 
-def _study_context(study: StudyContents, gallery: _Gallery) -> dict[str, Any]:
+def _study_context(study: StudyContents, gallery: Gallery) -> dict[str, Any]:
     summary = study.summary
     context: dict[str, Any] = {
         "judgements": tables.judgements(summary),
@@ -225,7 +225,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
     Raises InputError when it would be larger than `MAX_BYTES`.
     """
     plotly = _plotly() if plotly is None else plotly
-    gallery = _Gallery()
+    gallery = Gallery()
     summary, scenario = content.summary, content.scenario
     study = isinstance(content, StudyContents)
     context: dict[str, Any] = {

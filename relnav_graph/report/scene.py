@@ -191,23 +191,26 @@ def _moving(
     """Traces of what moves, at the first epoch, and their coordinates over time."""
     reach = 1.6 * float(np.abs(box).max())
     ijk = dict(zip("ijk", np.ascontiguousarray(_FACES.T), strict=True))
-    quiet = {"hoverinfo": "skip", "showlegend": False}
-    line = {"type": "scatter3d", "mode": "lines", **quiet}
+    quiet: dict[str, Any] = {"hoverinfo": "skip", "showlegend": False}
+    grey: dict[str, Any] = {"color": "#8a8f98", "opacity": 0.55, "flatshading": True}
+    dots: dict[str, Any] = {"mode": "markers", "marker": {"size": 2.5, "color": "#222"}}
+    line: dict[str, Any] = {"type": "scatter3d", "mode": "lines", **quiet}
     looks: list[dict[str, Any]] = [
-        {"type": "mesh3d", **ijk, "color": "#8a8f98", "opacity": 0.55, "flatshading": True, **quiet},
-        {"type": "scatter3d", "mode": "markers", "marker": {"size": 2.5, "color": "#222"}, **quiet},
+        {"type": "mesh3d", **ijk, **grey, **quiet},
+        {"type": "scatter3d", **dots, **quiet},
         *({**line, "line": {"color": c, "width": 5}} for c in _AXES),
         {"type": "scatter3d", "mode": "markers", "name": "chaser", "hoverinfo": "name",
          "marker": {"size": 5, "color": "black", "symbol": "square"}},
     ]  # fmt: skip
     moments = np.unique(np.linspace(0, len(path) - 1, _FRAMES).round().astype(int))
-    frames = []
+    kinds, frames = [look["type"] for look in looks], []
     for m in moments.tolist():
         parts = [*_target(R[m], box, points, reach), _xyz(path[m : m + 1])]
+        data = [{"type": kind, **part} for kind, part in zip(kinds, parts, strict=True)]
         name = f"{t[m]:.6g}"
-        frames.append({"name": name, "data": parts, "traces": list(range(len(parts)))})
-    data = [{**look, **part} for look, part in zip(looks, frames[0]["data"], strict=True)]
-    return data, frames
+        frames.append({"name": name, "data": data, "traces": list(range(len(data)))})
+    first = frames[0]["data"]
+    return [{**look, **part} for look, part in zip(looks, first, strict=True)], frames
 
 
 def _paths(
@@ -227,7 +230,7 @@ def _paths(
         out.append({"type": "scatter3d", "mode": "lines", **_xyz(path[::step]), **black})
     for name, state in rows.items():
         drawn = path + scale * (state.value - path) if true else state.value
-        group = {"name": styles[name]["label"], "legendgroup": name}
+        group: dict[str, Any] = {"name": styles[name]["label"], "legendgroup": name}
         colour = styles[name]["color"]
         thin: dict[str, Any] = {"line": {"color": colour, "width": 3}, "mode": "lines"}
         out.append({"type": "scatter3d", **_xyz(drawn[::step]), **thin, **group})

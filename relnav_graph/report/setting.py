@@ -36,16 +36,24 @@ def _parameters(table: Mapping[str, Any]) -> str:
     return ", ".join(f"{k} = {_value(v)}" for k, v in table.items() if k != "kind") or "–"
 
 
+_HEAD = ("", "name", "kind", "what it is", "parameters")
+
+
+def _model(what: str, name: str, model: Any, table: Mapping[str, Any]) -> list[Cell]:
+    texts = (Cell(_says(model)), Cell(_parameters(table)))
+    return [Cell(what), Cell(name, "strong"), Cell(model.kind, "code"), *texts]
+
+
 def models(scenario: Scenario) -> Table:
     """Processes and sensors that the estimators assume, with their parameters."""
     body = []
-    for section, found in (("processes", scenario.processes), ("sensors", scenario.sensors)):
+    for what, section, found in (
+        ("process", "processes", scenario.processes),
+        ("sensor", "sensors", scenario.sensors),
+    ):
         for name, model in found.items():
-            table = scenario.raw[section][name]
-            body.append([Cell("process" if section == "processes" else "sensor"), Cell(name, "strong"),
-                         Cell(model.kind, "code"), Cell(_says(model)),
-                         Cell(_parameters(table))])  # fmt: skip
-    return Table(["", "name", "kind", "what it is", "parameters"], body, 5)
+            body.append(_model(what, name, model, scenario.raw[section][name]))
+    return Table(_HEAD, body, 5)
 
 
 def simulated(scenario: Scenario) -> Table | None:
@@ -54,12 +62,7 @@ def simulated(scenario: Scenario) -> Table | None:
         return None
     pairs = [("truth", "", scenario.truth, scenario.raw["truth"])]
     pairs += [("input", n, m, scenario.raw["inputs"][n]) for n, m in scenario.inputs.items()]
-    body = [
-        [Cell(what), Cell(name, "strong"), Cell(model.kind, "code"), Cell(_says(model)),
-         Cell(_parameters(table))]
-        for what, name, model, table in pairs
-    ]  # fmt: skip
-    return Table(["", "name", "kind", "what it is", "parameters"], body, 5)
+    return Table(_HEAD, [_model(*pair) for pair in pairs], 5)
 
 
 def prior(scenario: Scenario) -> Table:

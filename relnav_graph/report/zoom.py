@@ -64,13 +64,13 @@ def _line_style(line: Line2D) -> dict[str, Any]:
 
 def _thinned(x: ArrayLike, y: ArrayLike) -> tuple[dict[str, Any], NDArray[np.float64]]:
     """At most so many points; times that are evenly spaced as start and step."""
-    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    step = max(1, -(-len(x) // _POINTS))
-    x, y = x[::step], y[::step]
-    d = np.diff(x)
+    t, values = (np.asarray(v, dtype=np.float64) for v in (x, y))
+    step = max(1, -(-len(t) // _POINTS))
+    t, values = t[::step], values[::step]
+    d = np.diff(t)
     if len(d) > 1 and d[0] > 0 and np.ptp(d) < 1e-6 * d[0]:
-        return {"x0": float(x[0]), "dx": float(d[0])}, y
-    return {"x": x}, y
+        return {"x0": float(t[0]), "dx": float(d[0])}, values
+    return {"x": t}, values
 
 
 def _lines(ax: Axes, on: dict[str, str]) -> list[dict[str, Any]]:
@@ -92,8 +92,9 @@ def _fills(ax: Axes, on: dict[str, str]) -> list[dict[str, Any]]:
     out = []
     for area in ax.collections:
         for path in area.get_paths() if isinstance(area, PolyCollection) else ():
-            if len(path.vertices) <= 2 * _FILLED:
-                x, y = np.asarray(path.vertices).T
+            vertices = np.asarray(path.vertices)
+            if len(vertices) <= 2 * _FILLED:
+                x, y = vertices.T
                 colour = _rgba(np.asarray(area.get_facecolor())[0])
                 look = {"mode": "none", "fill": "toself", "fillcolor": colour}
                 quiet = {"hoverinfo": "skip", "showlegend": False}
