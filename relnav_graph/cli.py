@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shlex
 import sys
 from typing import Any
 
@@ -20,6 +21,7 @@ COMMANDS = {
     "smooth": "Smooth the recorded pass of a data set.",
     "explain": "Say, before any data, what the sensors of a scenario can tell.",
     "study": "Make many runs of a scenario and say what they show together.",
+    "report": "Write one HTML file on a study or a comparison.",
     "validate": "Check a scenario or a data set: every error, with its path.",
     "list": "List models, estimators, truths, readers and scenarios.",
     "convert": "Convert between data folders, data sets and results.",
@@ -33,8 +35,8 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        # A module named list would hide the builtin from its own package.
-        name = "listing" if cmd_name == "list" else cmd_name
+        # Modules of these names would hide a builtin and a function from their own package.
+        name = {"list": "listing", "report": "reporting"}.get(cmd_name, cmd_name)
         module = importlib.import_module(f"relnav_graph.commands.{name}")
         command: click.Command = module.command
         return command
@@ -58,8 +60,11 @@ def main(argv: list[str] | None = None) -> Any:
     """Run the command line; errors of the input end with exit code 2."""
     from relnav_graph.errors import RelnavError
 
+    given = sys.argv[1:] if argv is None else argv
     try:
-        code = _relnav.main(argv, prog_name="relnav", standalone_mode=False)
+        code = _relnav.main(
+            argv, prog_name="relnav", standalone_mode=False, obj=shlex.join(["relnav", *given])
+        )
     except click.Abort:
         click.echo("interrupted", err=True)
         sys.exit(130)

@@ -22,9 +22,17 @@ from relnav_graph.deviation import errors, estimates, finite
 from relnav_graph.metrics import with_smoothed
 from relnav_graph.models import Derived
 from relnav_graph.state import Block
-from relnav_graph.track import Track, Truth
+from relnav_graph.track import Kind, Track, Truth
 
-__all__ = ["error_figures", "save_figures", "trajectory_figure"]
+__all__ = [
+    "STYLE",
+    "WIDTH",
+    "error_figures",
+    "row_styles",
+    "save_figures",
+    "symbol",
+    "trajectory_figure",
+]
 
 Array = NDArray[np.float64]
 
@@ -32,7 +40,7 @@ Array = NDArray[np.float64]
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#882255")
 #: Of the tracks of one kind: equal ones stay visible below each other.
 _DASHES = ("solid", (0, (5, 2)), (0, (2, 1.5)), (0, (1, 1)))
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 8,
     "legend.fontsize": 7,
     "legend.frameon": False,
@@ -45,17 +53,18 @@ _STYLE: dict[Any, Any] = {
     "grid.linewidth": 0.5,
     "svg.hashsalt": "relnav-graph",  # the same figure gives the same file
 }
-_WIDTH = 7.0  # inches: two columns of a journal page
+#: Inches: two columns of a journal page.
+WIDTH = 7.0
 #: Part of the pass in which a filter may still converge, and how far limits then follow
 #: excursions, in usual sizes (medians).
 _TRANSIENT, _EXCURSION = 0.1, 6.0
 
 
-def _styles(rows: Mapping[str, Track]) -> dict[str, dict[str, Any]]:
-    """How to draw each row; smoothed estimates are heavier and on top."""
+def row_styles(rows: Mapping[str, Kind]) -> dict[str, dict[str, Any]]:
+    """How to draw each row, of its kind; smoothed estimates are heavier and on top."""
     styles: dict[str, dict[str, Any]] = {}
-    kinds = [track.kind for track in rows.values()]
-    for k, (name, kind) in enumerate(zip(rows, kinds, strict=True)):
+    kinds = list(rows.values())
+    for k, (name, kind) in enumerate(rows.items()):
         styles[name] = {
             "label": f"{name} ({kind})",
             "color": _COLOURS[k % len(_COLOURS)],
@@ -88,7 +97,7 @@ def _lines(
     tracks: Iterable[Track], truth: Truth | None, derived: Sequence[Derived]
 ) -> dict[str, list[_Line]]:
     rows, lines = with_smoothed(tracks), dict[str, list[_Line]]()
-    styles = _styles(rows)
+    styles = row_styles({name: track.kind for name, track in rows.items()})
     for name, track in rows.items():
         known = {} if truth is None else errors(track, truth, derived)
         for state, x in estimates(track, derived).items():
@@ -102,7 +111,8 @@ def _lines(
     return lines
 
 
-def _symbol(block: Block) -> str:
+def symbol(block: Block) -> str:
+    """The symbol of a block as mathematics."""
     head, *letters = block.symbol.split("_")
     return f"${head}" + "".join(f"{a}{{{b}}}" for a, b in zip("_^", letters, strict=False)) + "$"
 
@@ -147,7 +157,7 @@ def _draw_errors(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
 
 def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
     block, known = lines[0].block, lines[0].e is not None
-    figure = Figure(figsize=(_WIDTH, 1.0 + 1.35 * block.dim), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 1.0 + 1.35 * block.dim), layout="constrained")
     panels = figure.subplots(block.dim, 1, sharex=True, squeeze=False)[:, 0]
     for axis, ax in enumerate(panels):
         ax.set_ylabel(_label(block, axis))
@@ -159,7 +169,7 @@ def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
             ax.semilogy(line.t, line.sigma[:, axis], **line.style)
     what = "error (truth − estimate)" if known else "1-sigma uncertainty"
     where = "about the axes of" if block.manifold == "SO3" else "in"
-    title = f"{state.replace('_', ' ').capitalize()} {_symbol(block)}: {what}"
+    title = f"{state.replace('_', ' ').capitalize()} {symbol(block)}: {what}"
     panels[0].set_title(f"{title}, {where} frame {block.frame[-1:]}", loc="left")
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels()
@@ -179,7 +189,7 @@ def error_figures(
     leave out transients and diverged tracks; a note in the panel says so. Raises
     InputError as :func:`relnav_graph.metrics.errors` does.
     """
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         lines = _lines(tracks, truth, derived)
         return {state: _state_figure(state, found) for state, found in lines.items()}
 
@@ -192,7 +202,7 @@ def trajectory_figure(
     Limits follow truth, or else the first track. None when no track has the position.
     """
     rows, paths, block = with_smoothed(tracks), list[tuple[Array, Mapping[str, Any]]](), None
-    for name, style in _styles(rows).items():
+    for name, style in row_styles({n: track.kind for n, track in rows.items()}).items():
         estimate = estimates(rows[name], derived).get("relative_position")
         if estimate is not None and finite(estimate.value).any():
             block = estimate.block
@@ -202,12 +212,12 @@ def trajectory_figure(
     if truth is not None and "relative_position" in truth.values:
         true = truth.values["relative_position"]
         paths.insert(0, (true, {"label": "truth", "color": "black", "linewidth": 1.8}))
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_WIDTH, 3.0), layout="constrained")
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
         for ax, (h, v) in zip(figure.subplots(1, 3), ((1, 0), (1, 2), (0, 2)), strict=True):
             _draw_plane(ax, paths, h, v)
             ax.set(xlabel=_label(block, h), ylabel=_label(block, v))
-        figure.suptitle(f"Relative position {_symbol(block)} in frame {block.frame[-1:]}")
+        figure.suptitle(f"Relative position {symbol(block)} in frame {block.frame[-1:]}")
         handles, labels = figure.axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=5)
     return figure
@@ -233,7 +243,7 @@ def save_figures(figures: Mapping[str, Figure], folder: Path | str) -> list[Path
     """
     paths = []
     Path(folder).mkdir(parents=True, exist_ok=True)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         for name, figure in figures.items():
             for suffix, metadata in (("svg", {"Date": None}), ("png", None)):
                 paths.append(Path(folder) / f"{name}.{suffix}")

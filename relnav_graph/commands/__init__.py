@@ -159,8 +159,9 @@ def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, An
 
 
 def write_outputs(out: Path, run: Pass, tracks: Sequence[Track], found: dict[str, Any]) -> None:
-    """Results, summary and figures in the folder `out`. Raises InputError."""
+    """Results, summary, manifest and figures in the folder `out`. Raises InputError."""
     from relnav_graph.io.atomic import atomic
+    from relnav_graph.io.manifest import PassManifest
     from relnav_graph.io.results import write_results
     from relnav_graph.plots import error_figures, save_figures, trajectory_figure
 
@@ -173,6 +174,15 @@ def write_outputs(out: Path, run: Pass, tracks: Sequence[Track], found: dict[str
     write_results(out / "results.nc", tracks, run.recording.truth, attributes)
     with atomic(out / "summary.json") as staged:
         staged.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", "utf-8")
+    PassManifest(
+        run.scenario.name,
+        run.scenario.raw,
+        run.seed,
+        run.run,
+        run.simulated,
+        found["versions"],
+        click.get_current_context().obj or "",
+    ).write(out)
     derived = derived_quantities(run.scenario.layout)
     figures = error_figures(tracks, run.recording.truth, derived)
     path = trajectory_figure(tracks, run.recording.truth, derived)

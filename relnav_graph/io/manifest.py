@@ -1,0 +1,61 @@
+"""What a folder of results was made from: the manifest beside the results of one pass."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.errors import InputError
+from relnav_graph.io.atomic import atomic
+
+__all__ = ["PASS_FILE", "PassManifest"]
+
+PASS_FILE = "pass.json"
+_FORMAT, _VERSION = "relnav-graph pass", 1
+
+
+@dataclass(frozen=True)
+class PassManifest:
+    """name and raw: the scenario and its tables, settings of the data included; seed and
+    run: of what was drawn; simulated: whether the recording was; versions: of what made
+    it; command: that made it, empty where it was not the command line."""
+
+    name: str
+    raw: Mapping[str, Any]
+    seed: int
+    run: int
+    simulated: bool
+    versions: Mapping[str, str]
+    command: str = ""
+
+    def write(self, folder: Path) -> None:
+        """Write the manifest into a folder of results. Raises InputError."""
+        tree = {"format": _FORMAT, "format_version": _VERSION, **asdict(self)}
+        text = json.dumps(tree, indent=2, default=np.ndarray.tolist)
+        with atomic(folder / PASS_FILE) as staged:
+            staged.write_text(text + "\n", "utf-8")
+
+    @staticmethod
+    def read(folder: Path) -> PassManifest:
+        """The manifest in a folder. Raises InputError on one that is missing, damaged or
+        of another version."""
+        file = folder / PASS_FILE
+        try:
+            found = json.loads(file.read_text("utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{file}: cannot be read: {error}") from error
+        if not isinstance(found, dict) or found.get("format") != _FORMAT:
+            raise InputError(f"{file}: not a manifest of a pass")
+        if found.get("format_version") != _VERSION:
+            version = found.get("format_version")
+            raise InputError(f"{file}: found format version {version}, expected {_VERSION}")
+        names = [f.name for f in fields(PassManifest)]
+        missing = [n for n in names if n not in found]
+        if missing:
+            raise InputError(f"{file}: damaged: no {', '.join(missing)}")
+        return PassManifest(**{n: found[n] for n in names})

@@ -1,0 +1,193 @@
+"""What a folder holds that a report can be written on: a study, or one pass."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.estimators import try_estimator
+from relnav_graph.io.manifest import PASS_FILE, PassManifest
+from relnav_graph.io.results import read_results
+from relnav_graph.metrics import summary, versions
+from relnav_graph.models import derived_quantities
+from relnav_graph.scenario import Scenario, make_scenario
+from relnav_graph.study.collect import Collected
+from relnav_graph.study.conduct import study_summary
+from relnav_graph.study.folder import StudyFolder
+from relnav_graph.track import Track, Truth
+
+__all__ = ["PassContents", "StudyContents", "WorstRun", "read_contents"]
+
+LISTED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class WorstRun:
+    """A run, its joint ANEES in the row that is judged, and its state that is furthest
+    from the RMSE of all runs: by how much, in parts of it."""
+
+    run: int
+    anees: float
+    state: str
+    ratio: float
+    command: str
+
+
+@dataclass(frozen=True, eq=False)
+class PassContents:
+    """One pass: tracks, truth where known, and their summary."""
+
+    scenario: Scenario
+    summary: Mapping[str, Any]
+    tracks: Sequence[Track]
+    truth: Truth | None
+    command: str
+    versions: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyContents:
+    """A study: its summary, and what its runs add up to.
+
+    judged: the row by which runs are called bad; worst: the worst of them, worst first.
+    """
+
+    scenario: Scenario
+    summary: Mapping[str, Any]
+    found: Collected
+    command: str
+    versions: Mapping[str, str]
+    seed: int
+    estimators: Sequence[str]
+    judged: str
+    worst: Sequence[WorstRun]
+
+    def remake(self, run: int) -> PassContents | None:
+        """A run made again, which gives the same numbers; None when it fails."""
+        try:
+            recording = self.scenario.simulate(self.seed, run)
+            problem = self.scenario.problem(recording, self.seed, run)
+            tracks = [try_estimator(kind, problem) for kind in self.estimators]
+        except (RelnavError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        found = summary(
+            self.scenario.name,
+            self.seed,
+            tracks,
+            recording.truth,
+            derived_quantities(self.scenario.layout),
+            self.scenario.window(problem.times),
+            len(problem.epochs),
+        )
+        command = next((w.command for w in self.worst if w.run == run), "")
+        return PassContents(self.scenario, found, tracks, recording.truth, command, versions())
+
+
+def _lost(path: Path, there: set[int]) -> dict[int, str]:
+    """Runs that the study gave up, so that they have no record: its summary names them."""
+    file = path / "summary.json"
+    if not file.is_file():  # of a study that is not at its end
+        return {}
+    try:
+        failed = json.loads(file.read_text("utf-8"))["failed"]
+        return {
+            int(one["run"]): str(one["message"])
+            for one in failed
+            if one["estimator"] is None and one["run"] not in there
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: damaged: {type(error).__name__}: {error}") from error
+
+
+def _judged(found: Collected) -> str:
+    """The row by which runs are called bad: batch, or else the first smoothed one."""
+    if "batch" in found.rows:
+        return "batch"
+    smoothed = [name for name, row in found.rows.items() if row.kind == "smoothed"]
+    return next(iter([*smoothed, *found.rows]))
+
+
+def _worst(found: Collected, judged: str, rerun: str) -> list[WorstRun]:
+    row = found.rows[judged]
+    states = [s for s in row.units if np.isfinite(row.of(s, "rmse")).any()]
+    if not states:
+        return []
+    rmse = np.column_stack([row.of(s, "rmse") for s in states])  # (runs, states)
+    ratio = np.nan_to_num(rmse / np.sqrt(np.nanmean(rmse**2, axis=0)))
+    anees = np.array(row.own["anees"])
+    # Where truth does not know the whole state there is no joint NEES.
+    measure = anees if np.isfinite(anees).any() else ratio.max(axis=1)
+    order = np.argsort(-np.where(np.isfinite(rmse).any(axis=1), measure, -1.0), kind="stable")
+    out = []
+    for k in order[:LISTED].tolist():
+        if np.isfinite(rmse[k]).any():
+            at, run = int(ratio[k].argmax()), found.runs[k]
+            command = f"{rerun} --run {run}"
+            out.append(WorstRun(run, anees[k], states[at], float(ratio[k, at]), command))
+    return out
+
+
+def _read_study(path: Path) -> StudyContents:
+    folder = StudyFolder.open(path)
+    there = folder.runs()
+    if not there:
+        raise InputError(f"{path}: no run of the study is done yet")
+    lost = _lost(path, set(there))
+    found_summary, found = study_summary(folder, there, lost)
+    if not found.rows:
+        raise InputError(f"{path}: every run failed: {found.failed[0][1]}")
+    spec, judged = folder.spec, _judged(found)
+    estimators = "".join(f" -e {kind}" for kind in spec.estimators)
+    command = folder.rerun.replace("relnav compare", "relnav study", 1)
+    return StudyContents(
+        make_scenario(spec.raw, spec.name),
+        found_summary,
+        found,
+        f"{command} --runs {max([*there, *lost]) + 1}{estimators}" if command else "",
+        found_summary["versions"],
+        spec.seed,
+        spec.estimators,
+        judged,
+        _worst(found, judged, folder.rerun + estimators),
+    )
+
+
+def _read_pass(path: Path) -> PassContents:
+    manifest = PassManifest.read(path)
+    tracks, truth, _ = read_results(path / "results.nc")
+    scenario = make_scenario(manifest.raw, manifest.name)
+    if not tracks:
+        raise InputError(f"{path / 'results.nc'}: holds no track")
+    found = summary(
+        manifest.name,
+        manifest.seed if manifest.simulated else None,
+        tracks,
+        truth,
+        derived_quantities(scenario.layout),
+        scenario.window(tracks[0].t),
+        len(tracks[0].t),
+    )
+    return PassContents(scenario, found, tracks, truth, manifest.command, manifest.versions)
+
+
+def read_contents(path: Path) -> StudyContents | PassContents:
+    """What the folder of ``relnav study``, ``compare`` or ``smooth`` holds.
+
+    Raises InputError on a folder of something else, and on damaged files.
+    """
+    if not path.is_dir():
+        raise InputError(f"{path}: {'is a file, expected' if path.exists() else 'no such'} folder")
+    if (path / "study.json").is_file():
+        return _read_study(path)
+    if (path / PASS_FILE).is_file():
+        return _read_pass(path)
+    raise InputError(
+        f"{path}: found no study.json and no {PASS_FILE}, expected the folder that relnav"
+        " study, compare or smooth wrote with -o"
+    )

@@ -1,0 +1,273 @@
+"""The page: chapters of tables and figures, in one template."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from matplotlib.figure import Figure
+
+from relnav_graph import __version__
+from relnav_graph.errors import InputError
+from relnav_graph.io.atomic import atomic
+from relnav_graph.models import derived_quantities
+from relnav_graph.plots import error_figures, trajectory_figure
+from relnav_graph.report import setting, tables
+from relnav_graph.report.contents import PassContents, StudyContents
+from relnav_graph.report.embed import encode, image
+from relnav_graph.report.figures import RunFigures, plain
+from relnav_graph.report.scene import Scene, make_scene
+from relnav_graph.report.zoom import zoomable
+
+__all__ = ["MAX_BYTES", "Gallery", "render", "write_report"]
+
+#: No report is larger: it must travel by mail.
+MAX_BYTES = 10_000_000
+#: What tables and text may take of it.
+_RESERVE = 500_000
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A figure of the page: how it is called, how to read it, its image (empty for one
+    that lives in the browser only), and the key of its zoomable form."""
+
+    title: str
+    caption: str
+    image: str
+    key: str
+
+
+@dataclass(eq=False)
+class Gallery:
+    """The figures of the page: images of all, and what can be zoomed as far as it fits."""
+
+    waiting: dict[str, Figure | Scene] = field(default_factory=dict)
+    taken: int = 0
+
+    def add(self, title: str, caption: str, figure: Figure) -> Shown:
+        """A figure that is shown as an image where it cannot be zoomed."""
+        return self._add(title, caption, image(figure), figure)
+
+    def add_scene(self, scene: Scene) -> Shown:
+        """A figure that is shown only where plotly is."""
+        return self._add("The pass in space", _scene_caption(scene), "", scene)
+
+    def _add(self, title: str, caption: str, picture: str, figure: Figure | Scene) -> Shown:
+        self.taken += len(picture)
+        shown = Shown(title, caption, picture, f"figure-{len(self.waiting) + 1}")
+        self.waiting[shown.key] = figure
+        return shown
+
+    def zoomed(self, room: int) -> dict[str, str]:
+        """What can be zoomed by key, in at most `room` bytes: scenes first."""
+        found = {}
+        room -= self.taken
+        for key, figure in sorted(self.waiting.items(), key=lambda f: isinstance(f[1], Figure)):
+            tree = zoomable(figure) if isinstance(figure, Figure) else figure.figure
+            text = encode(tree)
+            if len(text) <= room:
+                found[key] = text
+                room -= len(text)
+        return found
+
+
+def _plotly() -> str:
+    """The source of plotly.js, empty where the extra is not installed."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError:
+        return ""
+    return str(get_plotlyjs())
+
+
+def _over_runs(study: StudyContents, gallery: Gallery) -> dict[str, list[Shown]]:
+    """Figures of what runs show together, by chapter."""
+    figures = RunFigures(study)
+    runs = study.summary["runs"]
+    rms = [
+        gallery.add(
+            f"RMS error: {plain(state)}",
+            f"Heavy: root mean square over {runs} runs. Thin, in the same colour: the 1-sigma that"
+            " the estimator predicts; where both agree, it knows how good it is. Dotted: the bound,"
+            " from"
+            " the information of all measurements at the true states; no unbiased estimator does"
+            " better.",
+            figures.rms(state),
+        )
+        for state in figures.blocks
+        if any(state in study.found.rows[n].units for n in figures.drawn())
+    ]
+    consistency = [
+        (
+            "ANEES over the pass",
+            f"Normalised error squared per freedom, all states jointly, mean over {runs} runs; 1"
+            " is right. Above the band the estimator is optimistic, below it pessimistic. The"
+            " band holds 95 % of what single epochs of a consistent estimator give; points are"
+            " means over bins, whose epochs are correlated, so that they rather stay inside.",
+            figures.anees(),
+        ),
+        (
+            "NIS over the pass",
+            "Normalised innovation squared per residual row of each sensor: what filters did not"
+            " foresee, in units of what they expected. 1 is right; the 95 % band is that of"
+            " independent rows in each bin. Only filters have innovations.",
+            figures.nis(),
+        ),
+        (
+            "Coverage",
+            "Part of the error components that lie within 1, 2 and 3 of the estimated sigmas."
+            " Black line: a normal error. To the left of it the estimate is optimistic.",
+            figures.coverage(),
+        ),
+    ]
+    spread = figures.spread()
+    more = (
+        "RMSE of each run, a dot for each row; a grey line joins the rows of one run (the first"
+        " 100 runs), since all rows saw the same measurements. Left of the bar filtered and"
+        " fixed-lag rows, right of it smoothed ones; * marks what a filter's run ends with,"
+        " smoothed."
+    )
+    return {
+        "rms": rms,
+        "consistency": [gallery.add(t, c, f) for t, c, f in consistency if f is not None],
+        "spread": [gallery.add("RMSE of single runs", more, spread)] if spread else [],
+    }
+
+
+def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
+    """The scene of a pass, and its figures."""
+    derived = derived_quantities(content.scenario.layout)
+    shown: dict[str, Any] = {"scene": None, "path": None, "errors": []}
+    scene = make_scene(content)
+    if scene is not None:
+        shown["scene"] = gallery.add_scene(scene)
+    path = trajectory_figure(content.tracks, content.truth, derived)
+    if path is not None:
+        caption = "The path of the chaser relative to the target, in the three planes of the frame."
+        shown["path"] = gallery.add("Relative position", caption, path)
+    what = "Errors (truth minus estimate) with ±3 sigma about zero; a consistent estimator leaves"
+    caption = f"{what} its band in 0.3 % of the epochs."
+    if content.truth is None:
+        caption = "The 1-sigma that each estimator predicts; no truth is known."
+    for state, figure in error_figures(content.tracks, content.truth, derived).items():
+        shown["errors"].append(gallery.add(f"Errors: {plain(state)}", caption, figure))
+    return shown
+
+
+def _scene_caption(scene: Scene) -> str:
+    def times(scale: float) -> str:
+        return "to scale" if scale == 1 else f"drawn {scale:g} times as large"
+
+    turns = "which turns as it truly does" if scene.true else "which turns as estimated"
+    target = f"The target ({turns if scene.turning else 'fixed in this frame'})"
+    errors = (
+        f"Estimates of {' and '.join(scene.rows)} are shown as the true path plus their errors,"
+        f" {times(scene.error_scale)}, with their 3-sigma ellipsoids likewise: where the black"
+        " path runs through an ellipsoid, the true error is within 3 sigma."
+        if scene.true
+        else f"The 3-sigma ellipsoids of {' and '.join(scene.rows)} are {times(scene.error_scale)}."
+    )
+    return (
+        f"Frame {scene.frame}, the target at the origin. {target} is {times(scene.target_scale)};"
+        f" red, green and blue are its axes x, y, z. The square is the chaser. {errors} Ellipsoids"
+        " of the first tenth of the pass are left out. Drag to turn, scroll to zoom; the slider"
+        " moves time."
+    )
+
+
+def _study_context(study: StudyContents, gallery: Gallery) -> dict[str, Any]:
+    summary = study.summary
+    context: dict[str, Any] = {
+        "judgements": tables.judgements(summary),
+        "sensors": tables.sensor_judgements(summary),
+        "noises": tables.noises(summary),
+        "paired": tables.paired(summary),
+        "mcreynolds": tables.mcreynolds(summary),
+        "failed": tables.bad_runs(summary["failed"]) if summary["failed"] else None,
+        "degraded": tables.bad_runs(summary["degraded"]) if summary["degraded"] else None,
+        "judged": study.judged,
+        "worst": tables.worst_runs(study.worst),
+        "worst_run": study.worst[0].run if study.worst else None,
+        "remade": None,
+        "numbers": _ranges(study.found.runs),
+    }
+    figures = _over_runs(study, gallery)
+    again = study.remake(study.worst[0].run) if study.worst else None
+    if again is not None:
+        context["remade"] = tables.results(again.summary)
+        figures["pass"] = _of_pass(again, gallery)  # type: ignore[assignment]
+    return {**context, "figures": figures}
+
+
+def _ranges(runs: list[int]) -> str:
+    """Numbers of runs in words: 0 to 9, 12."""
+
+    def parts() -> Iterator[str]:
+        start = 0
+        for k in range(1, len(runs) + 1):
+            if k == len(runs) or runs[k] != runs[k - 1] + 1:
+                first, last = runs[start], runs[k - 1]
+                yield f"{first}" if first == last else f"{first} to {last}"
+                start = k
+
+    return ", ".join(parts())
+
+
+def render(content: StudyContents | PassContents, plotly: str | None = None) -> str:
+    """The page as text. plotly: source of plotly.js, by default of the one installed; an
+    empty one leaves images only.
+
+    Raises InputError when it would be larger than `MAX_BYTES`.
+    """
+    plotly = _plotly() if plotly is None else plotly
+    gallery = Gallery()
+    summary, scenario = content.summary, content.scenario
+    study = isinstance(content, StudyContents)
+    context: dict[str, Any] = {
+        "study": study,
+        "summary": summary,
+        "scenario": scenario,
+        "time": scenario.file.time,
+        "models": setting.models(scenario),
+        "simulated": setting.simulated(scenario),
+        "prior": setting.prior(scenario),
+        "toml": setting.toml(scenario),
+        "overview": tables.overview(summary),
+        "results": tables.results(summary),
+        "command": content.command,
+        "versions": content.versions,
+        "version": __version__,
+    }
+    if isinstance(content, StudyContents):
+        context |= _study_context(content, gallery)
+    else:
+        context["figures"] = {"pass": _of_pass(content, gallery)}
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    source = (resources.files(__package__) / "page.html.j2").read_text("utf-8")
+    room = MAX_BYTES - _RESERVE - len(plotly.encode())
+    zoomed = gallery.zoomed(room) if plotly else {}
+    context |= {"plotly": plotly if zoomed else "", "zoomed": zoomed}
+    text = environment.from_string(source).render(has_plotly=bool(plotly), **context)
+    size = len(text.encode())
+    if size > MAX_BYTES:
+        raise InputError(
+            f"the report on {scenario.name} comes to {size / 1e6:.1f} MB, expected at most"
+            f" {MAX_BYTES / 1e6:g} MB: ask for fewer estimators"
+        )
+    return text
+
+
+def write_report(content: StudyContents | PassContents, folder: Path) -> Path:
+    """Write ``report.html`` into a folder, whole or not at all. Raises InputError."""
+    path = folder / "report.html"
+    text = render(content)
+    with atomic(path) as staged:
+        staged.write_text(text, "utf-8")
+    return path

@@ -1,0 +1,287 @@
+"""The pass in space, as a figure of plotly: the tumbling target, the chaser's path about
+it, and where the estimates say it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.deviation import StateEstimates, estimates, finite
+from relnav_graph.metrics import with_smoothed
+from relnav_graph.models import derived_quantities
+from relnav_graph.plots import row_styles
+from relnav_graph.report.contents import PassContents
+from relnav_graph.state import RELATIVE_POSITION, RELATIVE_POSITION_T, TARGET_ATTITUDE
+
+__all__ = ["Scene", "make_scene"]
+
+Array = NDArray[np.float64]
+_POINTS, _ELLIPSOIDS, _FRAMES = 600, 14, 60
+#: Part of the pass whose ellipsoids are left out: filters still converge.
+_TRANSIENT = 0.1
+#: Sizes of target and of the largest ellipsoid in parts of the view, reached by drawing
+#: them larger than they are.
+_TARGET_PART, _ELLIPSOID_PART = 0.12, 0.07
+#: Half the edge of the box drawn for a target of which no point is known, m.
+_HALF_EDGE = 0.5
+_AXES = ("#D55E00", "#009E73", "#0072B2")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The figure, and in how many times their size target and errors are drawn."""
+
+    figure: Mapping[str, Any]
+    frame: str
+    turning: bool
+    true: bool
+    target_scale: float
+    error_scale: float
+    rows: Sequence[str]
+
+
+def _nice(scale: float) -> float:
+    """1, 2 or 5 times a power of ten, at most `scale`; at least 1."""
+    if not math.isfinite(scale) or scale < 2:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(scale))
+    return power * max(m for m in (1, 2, 5) if m * power <= scale)
+
+
+def _rows(content: PassContents) -> dict[str, StateEstimates]:
+    """The position by one filtered (or fixed-lag) and one smoothed row, batch if it is
+    there."""
+    chosen: dict[str, tuple[str, StateEstimates]] = {}
+    derived = derived_quantities(content.scenario.layout)
+    for name, track in with_smoothed(content.tracks).items():
+        state = estimates(track, derived).get("relative_position")
+        if state is None or not finite(state.value, state.P).all():
+            continue
+        kind = "smoothed" if track.kind == "smoothed" else "online"
+        if kind not in chosen or name == "batch":
+            chosen[kind] = (name, state)
+    return dict(chosen.values())
+
+
+def _points(content: PassContents) -> Array | None:
+    """Points of the target (n, 3) that a sensor knows, m, in t."""
+    for sensor in content.scenario.sensors.values():
+        points = getattr(sensor, "points", None)
+        if isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] == 3:
+            return points
+    return None
+
+
+def _known(content: PassContents, name: str) -> Array | None:
+    if content.truth is None or name not in content.truth.values:
+        return None
+    values = content.truth.values[name]
+    same = len(content.truth.t) == len(content.tracks[0].t)
+    return values if same and finite(values).all() else None
+
+
+def _attitude(content: PassContents, row: str) -> Array | None:
+    """R_ot (N, 3, 3), true where known, else as estimated by a row."""
+    true = _known(content, TARGET_ATTITUDE.name)
+    track = with_smoothed(content.tracks)[row]
+    if true is None and TARGET_ATTITUDE in track.layout.blocks:
+        return track.value(TARGET_ATTITUDE.name)
+    return true
+
+
+def _box(points: Array | None) -> Array:
+    """Corners (8, 3) of a box about the points; a plane of them gets some thickness."""
+    low, high = np.full(3, -_HALF_EDGE), np.full(3, _HALF_EDGE)
+    if points is not None:
+        low, high = points.min(axis=0), points.max(axis=0)
+        thin = np.maximum(0.1 * np.ptp(points, axis=0).max() - (high - low), 0) / 2
+        low, high = low - thin, high + thin
+    return np.array(list(product(*zip(low, high, strict=True))))
+
+
+_FACES = np.array([(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+                   (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)])  # fmt: skip
+
+
+def _xyz(points: Array) -> dict[str, Array]:
+    return dict(zip("xyz", np.ascontiguousarray(points.T), strict=True))
+
+
+def _target(R: Array, box: Array, points: Array | None, reach: float) -> list[dict[str, Array]]:
+    """Coordinates of the parts that turn: box, points, and the axes of t."""
+    shown = points if points is not None else np.zeros((0, 3))
+    axes = [np.vstack([np.zeros(3), reach * e]) for e in np.eye(3)]
+    return [_xyz(part @ R.T) for part in (box, shown, *axes)]
+
+
+def _sphere(n: int = 10) -> tuple[Array, NDArray[np.int64]]:
+    """Unit vectors (m, 3) and triangles of a sphere."""
+    u, v = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n), indexing="ij")
+    grid = np.stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)], axis=-1)
+    a = (np.arange(n - 1)[:, None] * 2 * n + np.arange(2 * n - 1)).ravel()
+    faces = np.vstack([np.column_stack([a, a + 1, a + 2 * n]),
+                       np.column_stack([a + 1, a + 2 * n + 1, a + 2 * n])])  # fmt: skip
+    return grid.reshape(-1, 3), faces
+
+
+def _ellipsoids(centres: Array, P: Array, scale: float) -> dict[str, Any]:
+    """One mesh of the 3-sigma ellipsoids of covariances P (k, 3, 3) at centres (k, 3)."""
+    sphere, faces = _sphere()
+    w, V = np.linalg.eigh(P)
+    half = V * (3 * scale * np.sqrt(np.maximum(w, 0)))[:, None, :]
+    vertices = centres[:, None, :] + np.einsum("mj,kij->kmi", sphere, half)
+    all_faces = (faces + len(sphere) * np.arange(len(P))[:, None, None]).reshape(-1, 3)
+    ijk = dict(zip("ijk", np.ascontiguousarray(all_faces.T), strict=True))
+    return {**_xyz(vertices.reshape(-1, 3)), **ijk}
+
+
+def _view(path: Array, size: float) -> tuple[Array, float]:
+    """Centre and half edge of the cube that holds the path and the target."""
+    low, high = np.minimum(path.min(axis=0), -size), np.maximum(path.max(axis=0), size)
+    return (low + high) / 2, 0.58 * float((high - low).max())
+
+
+def make_scene(content: PassContents) -> Scene | None:
+    """The scene of a pass; None where no row gives the relative position."""
+    rows = _rows(content)
+    if not rows:
+        return None
+    last = list(rows)[-1]
+    block = rows[last].block
+    true = _known(content, block.name)
+    path = rows[last].value if true is None else true
+    R = _attitude(content, last) if block == RELATIVE_POSITION else None
+    points = _points(content)
+    box = _box(points)
+    size = float(np.abs(box).max())
+    if block == RELATIVE_POSITION_T or R is None:
+        R = np.broadcast_to(np.eye(3), (len(path), 3, 3))
+    turning = bool(np.ptp(R, axis=0).max() > 0)
+    half = _view(path, 0.0)[1]
+    target_scale = _nice(_TARGET_PART * half / size)
+    centre, half = _view(path, size * target_scale)
+    k = np.linspace(_TRANSIENT * (len(path) - 1), len(path) - 1, _ELLIPSOIDS).round().astype(int)
+    widest = max(3 * np.sqrt(np.linalg.eigvalsh(s.P[k]).max()) for s in rows.values())
+    error_scale = _nice(_ELLIPSOID_PART * 2 * half / widest) if widest > 0 else 1.0
+    moving = (R, target_scale * box, None if points is None else target_scale * points)
+    t = content.tracks[0].t
+    data, frames = _moving(t, path, *moving)
+    data += _paths(content, rows, path, true is not None, error_scale, np.unique(k))
+    figure = {"data": data, "layout": _layout(t, block.frame[-1], centre, half, frames)}
+    return Scene(
+        figure | {"frames": frames},
+        block.frame[-1],
+        turning,
+        true is not None,
+        target_scale,
+        error_scale,
+        list(rows),
+    )
+
+
+def _moving(
+    t: Array, path: Array, R: Array, box: Array, points: Array | None
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Traces of what moves, at the first epoch, and their coordinates over time."""
+    reach = 1.6 * float(np.abs(box).max())
+    ijk = dict(zip("ijk", np.ascontiguousarray(_FACES.T), strict=True))
+    quiet: dict[str, Any] = {"hoverinfo": "skip", "showlegend": False}
+    grey: dict[str, Any] = {"color": "#8a8f98", "opacity": 0.55, "flatshading": True}
+    dots: dict[str, Any] = {"mode": "markers", "marker": {"size": 2.5, "color": "#222"}}
+    line: dict[str, Any] = {"type": "scatter3d", "mode": "lines", **quiet}
+    looks: list[dict[str, Any]] = [
+        {"type": "mesh3d", **ijk, **grey, **quiet},
+        {"type": "scatter3d", **dots, **quiet},
+        *({**line, "line": {"color": c, "width": 5}} for c in _AXES),
+        {"type": "scatter3d", "mode": "markers", "name": "chaser", "hoverinfo": "name",
+         "marker": {"size": 5, "color": "black", "symbol": "square"}},
+    ]  # fmt: skip
+    moments = np.unique(np.linspace(0, len(path) - 1, _FRAMES).round().astype(int))
+    kinds, frames = [look["type"] for look in looks], []
+    for m in moments.tolist():
+        parts = [*_target(R[m], box, points, reach), _xyz(path[m : m + 1])]
+        data = [{"type": kind, **part} for kind, part in zip(kinds, parts, strict=True)]
+        name = f"{t[m]:.6g}"
+        frames.append({"name": name, "data": data, "traces": list(range(len(data)))})
+    first = frames[0]["data"]
+    return [{**look, **part} for look, part in zip(looks, first, strict=True)], frames
+
+
+def _paths(
+    content: PassContents,
+    rows: Mapping[str, StateEstimates],
+    path: Array,
+    true: bool,
+    scale: float,
+    k: NDArray[np.int64],
+) -> list[dict[str, Any]]:
+    """The true path, and the estimates with their ellipsoids, errors drawn larger."""
+    kinds = {n: track.kind for n, track in with_smoothed(content.tracks).items()}
+    styles, step = row_styles(kinds), -(-len(path) // _POINTS)
+    out: list[dict[str, Any]] = []
+    if true:
+        black: dict[str, Any] = {"line": {"color": "black", "width": 4}, "name": "true path"}
+        out.append({"type": "scatter3d", "mode": "lines", **_xyz(path[::step]), **black})
+    for name, state in rows.items():
+        drawn = path + scale * (state.value - path) if true else state.value
+        group: dict[str, Any] = {"name": styles[name]["label"], "legendgroup": name}
+        colour = styles[name]["color"]
+        thin: dict[str, Any] = {"line": {"color": colour, "width": 3}, "mode": "lines"}
+        out.append({"type": "scatter3d", **_xyz(drawn[::step]), **thin, **group})
+        mesh = {"color": colour, "opacity": 0.25, "hoverinfo": "skip", "showlegend": False}
+        out.append({"type": "mesh3d", **_ellipsoids(drawn[k], state.P[k], scale), **mesh, **group})
+    return out
+
+
+def _layout(
+    t: Array, frame: str, centre: Array, half: float, frames: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    axes = {
+        f"{a}axis": {
+            "title": {"text": f"{a}<sub>{frame}</sub> [m]"},
+            "range": [float(centre[k] - half), float(centre[k] + half)],
+            "gridcolor": "#ddd",
+            "showbackground": False,
+            "zeroline": False,
+        }
+        for k, a in enumerate("xyz")
+    }
+    at_once = {"mode": "immediate", "transition": {"duration": 0}}
+    steps = [
+        {"label": f["name"], "method": "animate",
+         "args": [[f["name"]], {**at_once, "frame": {"duration": 0, "redraw": True}}]}
+        for f in frames
+    ]  # fmt: skip
+    play = {**at_once, "frame": {"duration": 90, "redraw": True}, "fromcurrent": True}
+    stop = {**at_once, "frame": {"duration": 0, "redraw": False}}
+    buttons = [
+        {"label": "play", "method": "animate", "args": [None, play]},
+        {"label": "stop", "method": "animate", "args": [[None], stop]},
+    ]
+    bottom = {"y": 0, "yanchor": "top", "pad": {"t": 24}}
+    menu = {"type": "buttons", "direction": "left", "x": 0, "xanchor": "left", "buttons": buttons}
+    now = {"prefix": "t = ", "suffix": " s", "font": {"size": 12, "color": "#222"}}
+    slider = {"x": 0.18, "len": 0.8, "steps": steps, "currentvalue": now, "ticklen": 0,
+              "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}  # fmt: skip
+    return {
+        "height": 640,
+        "margin": {"l": 0, "r": 0, "t": 48, "b": 8},
+        "scene": {
+            **axes,
+            "aspectmode": "cube",
+            "dragmode": "orbit",
+            "camera": {"eye": {"x": 1.1, "y": 1.0, "z": 0.75}, "center": {"z": -0.08}},
+        },
+        "legend": {"orientation": "h", "x": 0, "y": 1.01, "yanchor": "bottom"},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#9a9a9a", "activecolor": "#444"},
+        "font": {"size": 11, "family": "system-ui, sans-serif", "color": "#222"},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "updatemenus": [{**menu, **bottom, "showactive": False}],
+        "sliders": [{**slider, **bottom}],
+    }

@@ -1,0 +1,241 @@
+"""Numbers of a summary as tables of text, with units, to three or four digits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from relnav_graph.report.contents import WorstRun
+from relnav_graph.report.figures import KINDS, plain
+
+__all__ = ["Cell", "Table", "number"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text, and a word on what it says: good, bad, strong, code, or nothing."""
+
+    text: str
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """head and rows; the first `words` columns are text, the others numbers. A row of one
+    cell is the heading of those below it."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    words: int = 1
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number with so many significant digits, a dash where there is none."""
+    if value is None:
+        return "–"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, _, exponent = text.partition("e")
+        text = f"{mantissa}·10" + str(int(exponent)).translate(_RAISED)
+    return text.replace("-", "−")
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _interval(band: Sequence[float] | None, digits: int = 3) -> str:
+    return "–" if band is None else f"{number(band[0], digits)} to {number(band[1], digits)}"
+
+
+def _percent(value: float | None, digits: int = 1) -> str:
+    return "–" if value is None else f"{100 * value:.{digits}f} %".replace("-", "−")
+
+
+def _percents(band: Sequence[float] | None) -> str:
+    return "–" if band is None else f"{_percent(band[0])} to {_percent(band[1])}"
+
+
+def _unit(state: str, unit: str) -> str:
+    return plain(state) + ("" if unit == "1" else f" [{unit}]")
+
+
+def _cells(texts: Iterable[Any]) -> list[Cell]:
+    return [t if isinstance(t, Cell) else Cell(str(t)) for t in texts]
+
+
+def _inside(value: float | None, band: Sequence[float] | None, digits: int = 3) -> Cell:
+    """A mean square with whether it lies in its band."""
+    if value is None or band is None:
+        return Cell(number(value, digits))
+    return Cell(number(value, digits), "good" if band[0] <= value <= band[1] else "bad")
+
+
+def overview(summary: Mapping[str, Any]) -> Table:
+    """A row per estimator: kind, status, cost, joint ANEES."""
+    head = ["row", "kind", "status", "runs", "run time [s]", "step, median [ms]",
+            "ANEES", "95 % band", "rejected"]  # fmt: skip
+    rows = []
+    for name, row in summary["estimators"].items():
+        status = Cell(row["status"], "good" if row["status"] == "ok" else "bad")
+        rejected = ", ".join(f"{s} {n}" for s, n in row["rejected"].items() if n) or "–"
+        rows.append(
+            _cells(
+                [
+                    Cell(name, "strong"),
+                    row["kind"],
+                    status,
+                    row.get("runs", 1),
+                    number(row["runtime_s"], 3),
+                    number(row.get("step_ms", {}).get("median"), 3),
+                    _inside(row["anees"], row["anees_band"], 4),
+                    _interval(row["anees_band"], 4),
+                    rejected,
+                ]
+            )
+        )
+    return Table(head, rows, 3)
+
+
+def _result(
+    name: str, state: Mapping[str, Any], study: bool, judged: Mapping[str, Any] | None
+) -> list[Cell]:
+    cells: list[Any] = [name, number(state.get("rmse"))]
+    if study:
+        cells.append(_interval(state.get("rmse_ci")))
+    cells += [number(state.get("rmse_last")), number(state["sigma"])]
+    if study:
+        cells += [number(state.get("bound")), number(state.get("efficiency"), 3)]
+    anees = _inside(state.get("anees"), state.get("anees_band"))
+    if judged is not None:  # which also lets small deviations of large studies pass
+        anees = Cell(anees.text, _judged(judged).mark)
+    cells += [anees, _percent(state.get("inside_3sigma"))]
+    if study:
+        settled, share = state.get("convergence_s"), state.get("converged")
+        late = "" if share is None or share == 1 else f" (in {_percent(share, 0)})"
+        cells.append(number(settled) + late)
+    return _cells(cells)
+
+
+def results(summary: Mapping[str, Any]) -> dict[str, Table]:
+    """A table for each kind of estimate, which are not comparable: filtered rows know the
+    past, fixed-lag ones a little more, smoothed ones everything."""
+    study, verdict = "runs" in summary, summary.get("verdict", {}).get("states", {})
+    head = ["row", "RMSE", *(["95 % interval"] if study else []), "last epoch", "1-sigma",
+            *(["bound", "RMSE / bound"] if study else []), "ANEES", "within 3 sigma",
+            *(["converged [s]"] if study else [])]  # fmt: skip
+    out: dict[str, Table] = {}
+    for kind in KINDS:
+        rows = {n: r for n, r in summary["estimators"].items() if r["kind"] == kind}
+        units = {s: v["unit"] for row in rows.values() for s, v in row["states"].items()}
+        body = []
+        for state, unit in units.items():
+            body.append([Cell(_unit(state, unit), "strong")])
+            for name, row in rows.items():
+                if state in row["states"]:
+                    judged = verdict.get(name, {}).get(state)
+                    body.append(_result(name, row["states"][state], study, judged))
+        if body:
+            out[kind] = Table(head, body)
+    return out
+
+
+def judgements(summary: Mapping[str, Any]) -> Table:
+    """The verdict by state and row: consistent, or by what factor sigma is wrong."""
+    names = [n for kind in KINDS for n, r in summary["estimators"].items() if r["kind"] == kind]
+    states = summary["verdict"]["states"]
+    kinds = {n: summary["estimators"][n]["kind"] for n in names}
+    body = []
+    for state in dict.fromkeys(s for n in names for s in states[n]):
+        body.append([Cell(plain(state), "strong"), *(_judged(states[n].get(state)) for n in names)])
+    return Table(["state", *(f"{n} ({kinds[n]})" for n in names)], body, len(names) + 1)
+
+
+def sensor_judgements(summary: Mapping[str, Any]) -> Table | None:
+    """The verdict by sensor and filter, with NIS and whiteness."""
+    body = []
+    for name, row in summary["estimators"].items():
+        for sensor, judged in summary["verdict"]["sensors"].get(name, {}).items():
+            values = row["sensors"][sensor]
+            mark = "bad" if judged["coloured"] else "good"
+            lag = Cell(number(values["lag_correlation"], 2), mark)
+            nis = Cell(number(values["nis"], 3), _judged(judged).mark)
+            body.append([*_cells([name, sensor]), _judged(judged), nis,
+                         Cell(_interval(values["nis_band"])), lag,
+                         Cell(_interval(values["lag_band"], 2))])  # fmt: skip
+    head = ["row", "sensor", "verdict", "NIS", "95 % band", "lag correlation", "95 % band"]
+    return Table(head, body, 3) if body else None
+
+
+def _judged(verdict: Mapping[str, Any] | None) -> Cell:
+    if verdict is None:
+        return Cell("–")
+    if verdict["verdict"] == "consistent":
+        return Cell("consistent", "good")
+    return Cell(f"{verdict['verdict']}, {number(verdict['factor'], 3)}×", "bad")
+
+
+def noises(summary: Mapping[str, Any]) -> Table | None:
+    """The factor of each declared sigma, as the residuals of the best smoother have it."""
+    body = []
+    for one in summary["verdict"]["noises"]:
+        said = Cell("likely cause", "bad") if one["named"] else Cell("as declared", "good")
+        if not one["tested"]:
+            said = Cell("not testable here")
+        factor = number(one["factor"], 3)
+        body.append([Cell(one["noise"], "code"), said,
+                     *_cells([factor, _interval(one["factor_ci"])])])  # fmt: skip
+    head = ["declared noise", "verdict", "true sigma / declared", "95 % interval"]
+    return Table(head, body, 2) if body else None
+
+
+def paired(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
+    """For each pair of rows: what part of the RMSE of the first is gone in the second;
+    pairs of one kind first."""
+    pairs = sorted(summary["paired"], key=lambda p: p["kinds"][0] != p["kinds"][1])
+    out = []
+    head = ["state", "RMSE removed", "95 % interval", "better in", "runs"]
+    for pair in pairs:
+        body = []
+        for state, one in pair["states"].items():
+            band = one["improvement_ci"]
+            mark = "" if band is None or band[0] <= 0 <= band[1] else "good"
+            mark = "bad" if mark and band[1] < 0 else mark
+            removed = Cell(_percent(one["improvement"]), mark)
+            rest = _cells([_percents(band), _percent(one["better_in"], 0), one["runs"]])
+            body.append([Cell(plain(state), "strong"), removed, *rest])
+        (a, b), (first, second) = (pair["a"], pair["b"]), pair["kinds"]
+        out.append((f"{a} ({first}) to {b} ({second})", Table(head, body)))
+    return out
+
+
+def mcreynolds(summary: Mapping[str, Any]) -> Table | None:
+    """Filter against smoother: their difference in units of what it should be."""
+    body = []
+    for pair in summary["mcreynolds"]:
+        for state, one in pair["states"].items():
+            names = _cells([pair["filtered"], pair["smoothed"], Cell(plain(state), "strong")])
+            square, inside = number(one["mean_square"], 3), _percent(one["inside_3sigma"])
+            body.append([*names, *_cells([square, inside])])
+    head = ["filtered", "smoothed", "state", "mean square ratio", "within 3"]
+    return Table(head, body, 3) if body else None
+
+
+def bad_runs(runs: Sequence[Mapping[str, Any]]) -> Table:
+    """Runs that failed or are not to be trusted, with their commands."""
+    body = [
+        [Cell(str(r["run"])), Cell(r["estimator"] or "all"), Cell(r["status"], "bad"),
+         Cell(r["message"]), Cell(r["command"], "code")]
+        for r in runs
+    ]  # fmt: skip
+    return Table(["run", "row", "status", "what happened", "command"], body, 5)
+
+
+def worst_runs(runs: Sequence[WorstRun]) -> Table:
+    """The worst runs with their commands."""
+    body = [
+        [Cell(str(r.run)), Cell(number(r.anees, 3) if r.anees == r.anees else "–"),
+         Cell(f"{plain(r.state)}: {number(r.ratio, 3)}×"), Cell(r.command, "code")]
+        for r in runs
+    ]  # fmt: skip
+    return Table(["run", "joint ANEES", "worst state, RMSE / that of all runs", "command"], body, 4)

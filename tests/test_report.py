@@ -1,0 +1,443 @@
+"""The report: one file that needs nothing else, and says what the folder holds."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from passes import ZHANG
+from PIL import Image
+
+from relnav_graph.cli import main
+from relnav_graph.errors import InputError
+from relnav_graph.report import page as pages
+from relnav_graph.report import scene as scenes
+from relnav_graph.report import tables
+from relnav_graph.report.contents import PassContents, StudyContents, read_contents
+from relnav_graph.report.embed import encode
+from relnav_graph.report.page import MAX_BYTES, Gallery
+from relnav_graph.report.zoom import zoomable
+
+SHORT = ("--set", "time.epochs=12", "-e", "iekf", "-e", "batch")
+SELF_CONTAINED = re.compile(r"#|data:")
+#: Attributes whose value is an address.
+ADDRESSES = {"src", "href", "srcset", "data", "poster", "action", "formaction", "background",
+             "cite", "manifest", "ping", "xlink:href"}  # fmt: skip
+FETCHING = {"link", "base", "iframe", "frame", "object", "embed", "applet"}
+
+
+class Outside(HTMLParser):
+    """What a page refers to that is not in it, and its policy."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.policy: dict[str, list[str]] = {}
+        self.inside = ""
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        self.inside = tag
+        if tag in FETCHING or given.get("http-equiv", "").lower() == "refresh":
+            self.found.append(f"<{tag}>")
+        for name, value in given.items():
+            if name in ADDRESSES and not SELF_CONTAINED.match(value):
+                self.found.append(f"{name}={value[:60]}")
+        self._css(given.get("style", ""))
+        if given.get("http-equiv") == "Content-Security-Policy":
+            parts = [part.split() for part in given["content"].split(";")]
+            self.policy = {name: sources for name, *sources in parts}
+
+    def handle_endtag(self, tag: str) -> None:
+        self.inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self.inside == "style":
+            self._css(data)
+
+    def _css(self, text: str) -> None:
+        self.found += re.findall(r"@import[^;]*", text)
+        addresses = re.findall(r"url\(\s*['\"]?([^)'\"]*)", text)
+        self.found += [a for a in addresses if not SELF_CONTAINED.match(a)]
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    assert isinstance(stopped.value.code, int)
+    return stopped.value.code
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a study of three runs, with its report."""
+    out = tmp_path_factory.mktemp("report") / "study"
+    assert run("study", ZHANG, *SHORT, "--runs", 3, "-j", 1, "-o", out) == 0
+    assert run("report", out) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def one_pass(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a comparison, with its report."""
+    out = tmp_path_factory.mktemp("report") / "pass"
+    with pytest.MonkeyPatch.context() as patch:  # its files are tested elsewhere
+        patch.setattr("relnav_graph.plots.save_figures", lambda *_: [])
+        assert run("compare", ZHANG, *SHORT, "--seed", 4, "-o", out) == 0
+    assert run("report", out) == 0
+    return out
+
+
+def page_of(folder: Path) -> str:
+    return (folder / "report.html").read_text("utf-8")
+
+
+@pytest.fixture(params=["study", "one_pass"])
+def page(request: pytest.FixtureRequest) -> str:
+    return page_of(request.getfixturevalue(request.param))
+
+
+def test_refers_to_nothing_outside_itself(page: str) -> None:
+    outside = Outside(page)
+    assert outside.found == []
+    # What scripts may ask for, the browser refuses.
+    assert outside.policy["default-src"] == ["'none'"]
+    assert outside.policy["img-src"] == ["data:", "blob:"]
+    allowed = {"'none'", "'unsafe-inline'", "data:", "blob:"}
+    assert {s for sources in outside.policy.values() for s in sources} <= allowed
+    policy = page.index("Content-Security-Policy")
+    assert policy < page.index("<style") < page.index("<script")
+    assert len(page.encode()) < MAX_BYTES
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<img src="https://x/y.png">',
+        '<script src="plotly.js"></script>',
+        '<link rel="icon" href="data:,">',
+        "<style>@import 'x.css';</style>",
+        '<style>a { background: url("//x/y") }</style>',
+        '<p style="background:url(y.png)">',
+        '<a href="other.html">',
+    ],
+)
+def test_the_test_of_references_finds_each_kind(text: str) -> None:
+    assert Outside(text).found
+
+
+def test_every_link_of_the_contents_leads_to_a_chapter(page: str) -> None:
+    links = re.findall(r'href="#([^"]+)"', page)
+    assert len(links) >= 4
+    for name in links:
+        assert page.count(f'id="{name}"') == 1, name
+
+
+def test_images_are_whole_and_every_zoomable_figure_has_its_data(page: str) -> None:
+    images = re.findall(r'src="data:image/png;base64,([^"]*)"', page)
+    assert len(images) > 10
+    for text in images:
+        with Image.open(io.BytesIO(base64.b64decode(text))) as picture:
+            picture.verify()
+    keys = re.findall(r'data-figure="([^"]+)"', page)
+    assert len(keys) > 10
+    assert sorted(keys) == sorted(re.findall(r'type="application/json" id="([^"]+)"', page))
+
+
+def text_of(page: str) -> str:
+    """What a reader sees, without tags, styles and scripts."""
+    text = re.sub(r"<(script|style)\b.*?</\1>", " ", page, flags=re.S)
+    text = re.sub(r"<[^>]*>", " ", text)
+    return " ".join(text.replace("&#34;", '"').replace("&#39;", "'").split())
+
+
+def test_a_study_is_told_in_full(study: Path) -> None:
+    found = json.loads((study / "summary.json").read_text())
+    text = text_of(page_of(study))
+    for sentence in found["verdict"]["text"]:
+        assert " ".join(sentence.split()) in text
+    for row in found["estimators"].values():
+        for state in row["states"].values():
+            for key in ("rmse", "bound", "sigma"):
+                assert tables.number(state[key]) in text
+    (pair,) = found["paired"]
+    gain = pair["states"]["relative_position"]["improvement"]
+    assert f"{100 * gain:.1f} %".replace("-", "−") in text
+    assert "iekf (filtered) to batch (smoothed)" in text
+    for noise in found["verdict"]["noises"]:
+        assert noise["noise"] in text
+    assert "relnav study" in text
+    assert "--runs 3 -e iekf -e batch" in text
+    for name, version in found["versions"].items():
+        assert f"{name} {version}" in text
+    for heading in ("Filtered", "Smoothed", "Verdict", "Paired differences", "Worst runs",
+                    "Filter against smoother", "Provenance"):  # fmt: skip
+        assert re.search(rf"<h[23]>{heading}</h[23]>", page_of(study)), heading
+    assert "[processes.relative_orbit]" in text
+    assert "None of 3 runs." in text
+
+
+def test_filtered_and_smoothed_rows_share_no_table(study: Path) -> None:
+    found = tables.results(read_contents(study).summary)
+    names = {kind: {row[0].text for row in t.rows if len(row) > 1} for kind, t in found.items()}
+    assert names == {"filtered": {"iekf"}, "smoothed": {"batch"}}
+
+
+def test_the_worst_run_is_the_one_of_the_largest_anees(study: Path) -> None:
+    content = read_contents(study)
+    assert isinstance(content, StudyContents)
+    assert content.judged == "batch"
+    anees = content.found.rows["batch"].own["anees"]
+    assert content.worst[0].run == int(np.argmax(anees))
+    assert [w.anees for w in content.worst] == sorted(anees, reverse=True)
+    assert content.worst[0].command.endswith(f"--run {content.worst[0].run}")
+
+
+def test_a_run_made_again_has_the_numbers_of_the_study(study: Path) -> None:
+    content = read_contents(study)
+    assert isinstance(content, StudyContents)
+    again = content.remake(1)
+    assert again is not None
+    state = again.summary["estimators"]["batch"]["states"]["relative_position"]
+    assert state["rmse"] == pytest.approx(
+        content.found.rows["batch"].of("relative_position", "rmse")[1], rel=1e-9
+    )
+
+
+def test_a_run_that_was_lost_is_named_with_its_command(study: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(study, folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    lost = {"run": 3, "estimator": None, "status": "failed", "message": "its worker died"}
+    summary["failed"].append({**lost, "command": ""})
+    (folder / "summary.json").write_text(json.dumps(summary))
+    content = read_contents(folder)
+    assert isinstance(content, StudyContents)
+    (one,) = content.summary["failed"]
+    assert (one["run"], one["message"]) == (3, "its worker died")
+    table = tables.bad_runs(content.summary["failed"])
+    assert table.rows[0][-1].text.endswith("--run 3")
+    assert "--runs 4" in content.command
+
+
+def test_a_pass_is_told_in_full(one_pass: Path) -> None:
+    found = json.loads((one_pass / "summary.json").read_text())
+    text = text_of(page_of(one_pass))
+    for row in found["estimators"].values():
+        assert tables.number(row["states"]["relative_position"]["rmse"]) in text
+    assert "relnav compare" in text
+    assert "--seed 4" in text
+    assert "Verdict" not in text
+
+
+def test_without_plotly_there_are_images_and_a_word_on_the_extra(
+    one_pass: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    monkeypatch.setattr(pages, "image", lambda figure: "data:,")
+    text = pages.render(read_contents(one_pass))
+    assert "<script" not in text
+    assert "relnav-graph[report]" in text
+    assert len(text) < 2_000_000
+    assert Outside(text).found == []
+
+
+def test_figures_that_do_not_fit_stay_images() -> None:
+    gallery, figures = Gallery(), [Figure(), Figure(), Figure()]
+    for figure, count in zip(figures, (10, 1000, 100), strict=True):
+        figure.subplots().plot(np.arange(count))
+        gallery.add("title", "caption", figure)
+    assert list(gallery.zoomed(10**6)) == ["figure-1", "figure-2", "figure-3"]
+    room = gallery.taken + len(encode(zoomable(figures[1])))
+    found = gallery.zoomed(room)
+    assert list(found) == ["figure-1", "figure-3"]
+    assert gallery.taken + sum(map(len, found.values())) < room
+
+
+def test_a_zoomable_figure_holds_what_was_drawn() -> None:
+    figure = Figure(figsize=(7, 3), layout="constrained")
+    first, second = figure.subplots(1, 2, sharey=True)
+    t, y = np.arange(5.0), np.array([1.0, 10.0, np.nan, 1000.0, 2.0])
+    first.semilogy(t, y, color="#D55E00", label="iekf", linestyle="--")
+    first.axhline(1, color="0.4")
+    second.axhspan(0.5, 2, color="0.5")
+    second.set(xlim=(4, 0), title="x")
+    second.set_title("smoothed", loc="left")
+    second.set_xlabel("$x_{t}$ [m]")
+    figure.legend(handles=first.lines[:1])
+    found = zoomable(figure)
+    entry, line = found["data"]
+    assert (entry["name"], entry["showlegend"]) == ("iekf", True)
+    assert (line["legendgroup"], line["x0"], line["dx"]) == ("iekf", 0.0, 1.0)
+    np.testing.assert_array_equal(line["y"], y)
+    assert line["line"]["color"] == "rgba(213,94,0,1.00)"
+    assert line["line"]["dash"] == "dash"
+    layout = found["layout"]
+    assert layout["yaxis"]["type"] == "log"
+    np.testing.assert_allclose(layout["yaxis"]["range"], np.log10(first.get_ylim()))
+    assert layout["xaxis2"]["range"] == [4.0, 0.0]
+    assert layout["yaxis2"]["matches"] == "y"
+    assert layout["xaxis2"]["title"]["text"] == "<i>x<sub>t</sub></i> [m]"
+    assert [s["type"] for s in layout["shapes"]] == ["line", "rect"]
+    assert [s["yref"] for s in layout["shapes"]] == ["y", "y2"]
+    assert [a["text"] for a in layout["annotations"]] == ["smoothed"]
+
+
+def test_plotly_takes_every_figure(page: str) -> None:
+    """Its Python side knows every property, and refuses what it does not know."""
+    plotly = pytest.importorskip("plotly.graph_objects", reason="needs the extra report")
+    texts = re.findall(r'<script type="application/json" id="[^"]+">(.*?)</script>', page, re.S)
+    for text in texts:
+        plotly.Figure(json.loads(text))
+
+
+def test_a_long_pass_is_thinned_for_zooming() -> None:
+    figure = Figure()
+    ax = figure.subplots()
+    t = np.linspace(0, 1e5, 100_001)
+    ax.plot(t, np.sin(t))
+    ax.fill_between(t, -1, np.cos(t))
+    (line,) = zoomable(figure)["data"]
+    assert 500 < len(line["y"]) <= 1000
+    assert line["dx"] == pytest.approx(t[-1] / (len(line["y"]) - 1), rel=0.01)
+
+
+def test_ellipsoids_are_three_sigma_about_their_centres() -> None:
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(2, 3, 3))
+    P, centres = A @ A.transpose(0, 2, 1), rng.normal(size=(2, 3))
+    mesh = scenes._ellipsoids(centres, P, 10.0)
+    vertices = np.column_stack([mesh[a] for a in "xyz"]).reshape(2, -1, 3)
+    d = (vertices - centres[:, None]) / 10
+    square = np.einsum("kmi,kij,kmj->km", d, np.linalg.inv(P), d)
+    np.testing.assert_allclose(square, 9)
+    faces = np.column_stack([mesh[a] for a in "ijk"])
+    assert faces.max() == vertices.shape[0] * vertices.shape[1] - 1
+
+
+def test_the_scene_shows_the_true_pass(one_pass: Path) -> None:
+    content = read_contents(one_pass)
+    assert isinstance(content, PassContents)
+    assert content.truth is not None
+    scene = scenes.make_scene(content)
+    assert scene is not None
+    assert (scene.frame, scene.turning, scene.true) == ("o", True, True)
+    assert list(scene.rows) == ["iekf", "batch"]
+    frames = scene.figure["frames"]
+    assert len(frames) == 12
+    chaser = [[f["data"][-1][a][0] for a in "xyz"] for f in frames]
+    np.testing.assert_allclose(chaser, content.truth.values["relative_position"])
+    # The blue axis is the third column of R_ot.
+    axis = np.array([[f["data"][4][a][1] for a in "xyz"] for f in frames])
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    np.testing.assert_allclose(axis, content.truth.values["target_attitude"][:, :, 2], atol=1e-12)
+    points = np.column_stack([frames[0]["data"][1][a] for a in "xyz"]) / scene.target_scale
+    R = content.truth.values["target_attitude"][0]
+    expected = content.scenario.sensors["beacons"].points  # type: ignore[attr-defined]
+    np.testing.assert_allclose(points @ R, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "–"), (0.0, "0"), (1234.5678, "1235"), (-0.012345, "−0.01235"), (3.2e-9, "3.2·10⁻⁹"),
+     (1.5e7, "1.5·10⁷")],
+)  # fmt: skip
+def test_numbers_have_few_digits(value: float | None, text: str) -> None:
+    assert tables.number(value) == text
+
+
+def _break_record(folder: Path) -> None:
+    path = folder / "runs" / "000001.npz"
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+DAMAGE: list[tuple[str, Callable[[Path], Any], str]] = [
+    ("study", _break_record, "not a readable record"),
+    ("study", lambda f: (f / "study.json").write_text("{"), "cannot be read"),
+    ("study", lambda f: (f / "study.json").unlink(), "expected the folder that"),
+    ("study", lambda f: (f / "summary.json").write_text("{}"), "damaged"),
+    ("study", lambda f: shutil.rmtree(f / "runs"), "no run of the study is done"),
+    ("one_pass", lambda f: (f / "pass.json").write_text("[]"), "not a manifest of a pass"),
+    ("one_pass", lambda f: (f / "results.nc").unlink(), "results.nc"),
+    ("one_pass", lambda f: (f / "results.nc").write_bytes(b"CDF"), "results.nc"),
+]
+
+
+@pytest.mark.parametrize(("kind", "damage", "message"), DAMAGE)
+def test_damaged_folders_are_refused(
+    kind: str,
+    damage: Callable[[Path], Any],
+    message: str,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(request.getfixturevalue(kind), folder)
+    (folder / "report.html").unlink()
+    damage(folder)
+    assert run("report", folder) == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "report.html").exists()
+
+
+def test_a_manifest_of_another_version_is_refused(one_pass: Path, tmp_path: Path) -> None:
+    found = json.loads((one_pass / "pass.json").read_text())
+    (tmp_path / "pass.json").write_text(json.dumps({**found, "format_version": 2}))
+    with pytest.raises(InputError, match="found format version 2, expected 1"):
+        read_contents(tmp_path)
+    del found["seed"]
+    (tmp_path / "pass.json").write_text(json.dumps(found))
+    with pytest.raises(InputError, match="damaged: no seed"):
+        read_contents(tmp_path)
+
+
+def test_what_is_no_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("report", tmp_path / "nothing") == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert run("report", tmp_path) == 2
+    assert "expected the folder that relnav study, compare or smooth wrote" in (
+        capsys.readouterr().err
+    )
+
+
+def _chromium() -> str | None:
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
+@pytest.mark.skipif(_chromium() is None, reason="no Chromium or Chrome is installed")
+def test_a_browser_opens_it_without_an_error(study: Path, tmp_path: Path) -> None:
+    file = study / "report.html"
+    options = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+               "--enable-unsafe-swiftshader", "--window-size=1200,30000",
+               f"--user-data-dir={tmp_path}", "--enable-logging=stderr", "--v=0",
+               "--virtual-time-budget=60000", "--dump-dom"]  # fmt: skip
+    done = subprocess.run(
+        [str(_chromium()), *options, file.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    hint = "willReadFrequently"  # of a canvas, on speed
+    assert [line for line in console if hint not in line] == []
+    drawn = len(re.findall(r'class="[^"]*js-plotly-plot', done.stdout))
+    assert drawn == page_of(study).count("data-figure=")
+    assert "WebGL is not supported" not in text_of(done.stdout)
