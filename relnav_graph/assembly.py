@@ -124,8 +124,8 @@ class Assembly:
     t_before: start of an interval that leads to the first epoch, None when it has none.
     observations: their number; epoch_offsets (N + 1,) and row_offsets (N + 1,): where each
     epoch's observations and rows begin; sensor_of (observations,): the place of each one's
-    sensor among `sensor_names`. checked: whether the epochs are known to be in order. Raises InputError or ModelError on an epoch or a model that
-    is not in order.
+    sensor among `sensor_names`. checked: whether the epochs are known to be in order.
+    Raises InputError or ModelError on an epoch or a model that is not in order.
     """
 
     def __init__(
@@ -299,7 +299,8 @@ class Assembly:
     @property
     def heights(self) -> Indices:
         """Rows of each observation (observations,)."""
-        return self.tables.sensors[self.sensor_of, loops.ROWS]
+        rows: Indices = self.tables.sensors[self.sensor_of, loops.ROWS]
+        return rows
 
     def rows_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which of all rows belong to the chosen observations."""
@@ -379,8 +380,6 @@ class Assembly:
         m, n = len(self.tables.starts), self.layout.dim
         out = ProcessRows(np.empty((m, n)), np.empty((m, n, n)), np.empty((m, n, n)))
         failure = np.zeros(3, dtype=np.int64)
-        loops.linearize(
-            *self.tables, x, whiten, self.layout.kinds, out.e, out.A, out.B, failure
-        )
+        loops.linearize(*self.tables, x, whiten, self.layout.kinds, out.e, out.A, out.B, failure)
         self.check_propagated(failure)
         return out

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import INDICES, MATRIX, STACK, jit_as
-from relnav_graph.filtering import NOT_POSITIVE, scaled_cholesky, to_tangent
+from relnav_graph.filtering import NOT_POSITIVE
 from relnav_graph.loops import INDEX_MATRIX
 from relnav_graph.matrices import product, sandwich, solve_lower, solve_lower_transposed
 from relnav_graph.state import local, retract
+from relnav_graph.updating import copy, scaled_cholesky, to_tangent
 
 __all__ = ["backward"]
 
@@ -43,9 +44,7 @@ def backward(
     for i in range(xs.shape[1]):
         xs[count - 1, i] = x[count - 1, i]
     if covariances:
-        for i in range(n):
-            for j in range(n):
-                Ps[count - 1, i, j] = P[count - 1, i, j]
+        copy(P[count - 1], Ps[count - 1])
     for k in range(count - 2, -1, -1):
         if not scaled_cholesky(P_predicted[k + 1], scale, L):
             failure[0], failure[3] = NOT_POSITIVE, k + 1
@@ -65,9 +64,7 @@ def backward(
         for i in range(xs.shape[1]):
             xs[k, i] = smoothed[i]
         if covariances:
-            for i in range(n):
-                for j in range(n):
-                    change[i, j] = Ps[k + 1, i, j]
+            copy(Ps[k + 1], change)
             to_tangent(change, d, kinds, True)
             for i in range(n):
                 for j in range(n):

@@ -29,7 +29,18 @@ from relnav_graph.compiled import (
 from relnav_graph.matrices import cholesky, product, solve_lower
 from relnav_graph.state import local, times_jacobian
 
-__all__ = ["BROKEN", "TABLES", "interval_row", "interval_rows", "linearize", "measure", "transition", "whitening"]
+__all__ = [
+    "BROKEN",
+    "TABLES",
+    "interval_row",
+    "interval_rows",
+    "linearize",
+    "measure",
+    "observe",
+    "propagate",
+    "transition",
+    "whitening",
+]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -285,6 +296,7 @@ def whitening(
 def interval_row(
     x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
 ) -> None:
+    """:func:`interval_rows` of one interval."""
     n = e.shape[0]
     error, left = local(x_next, x1, kinds, n), np.empty((n, n))
     minus = np.empty(n)

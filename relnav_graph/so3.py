@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.compiled import jit
+from relnav_graph.matrices import sandwich
 
 Array = NDArray[np.float64]
 
@@ -95,14 +96,9 @@ def add_vector(a: Array, b: Array, factor: float) -> Array:
 
 @jit
 def propagate_covariance(F: Array, P: Array) -> Array:
-    """``F P F^T``."""
-    n = F.shape[0]
-    half = multiply(F, P)
-    out = np.zeros((n, n))
-    for i in range(n):
-        for j in range(n):
-            for k in range(F.shape[1]):
-                out[i, j] += half[i, k] * F[j, k]
+    """``F P F^T`` of a symmetric P."""
+    out = np.empty((F.shape[0], F.shape[0]))
+    sandwich(F, P, out)
     return out
 
 

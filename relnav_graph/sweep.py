@@ -107,8 +107,18 @@ def _sweep(
         m = row_offsets[k + 1] - row_offsets[k]
         r, H = r_all[:m], H_all[:m]
         observe(
-            sensors, observations, places, numbers, first, last, 0, x,
-            weight[first:last], r, H, status[first:last],
+            sensors,
+            observations,
+            places,
+            numbers,
+            first,
+            last,
+            0,
+            x,
+            weight[first:last],
+            r,
+            H,
+            status[first:last],
         )
         for i in range(m):
             squares += r[i] * r[i]
@@ -168,18 +178,18 @@ def _back_substitute(R: Array, S: Array, d: Array, end: Array, known: int, out: 
                 out[k, i] = end[i]
 
 
-@jit_as(STACK, STACK, STACK)
-def _covariances(R: Array, S: Array, P: Array) -> None:
-    """P_k = R^-1 (I + S P_k+1 S^T) R^-T, backwards from P_N = (R^T R)^-1."""
+@jit_as(STACK, STACK, STACK, types.int64)
+def _covariances(R: Array, S: Array, P: Array, known: int) -> None:
+    """P_k = R^-1 (I + S P_k+1 S^T) R^-T, backwards from P_N = (R^T R)^-1, or, where that is
+    known better, from what P holds there."""
     count, n = R.shape[0], R.shape[1]
-    inner = np.empty((n, n))
-    for k in range(count - 1, -1, -1):
-        if k < count - 1:
-            sandwich(S[k], P[k + 1], inner)
-            for i in range(n):
-                inner[i, i] += 1.0
-        else:
-            inner = so3.identity(n)
+    inner = so3.identity(n)
+    if not known:
+        sandwich(inverse_upper(R[count - 1]), inner, P[count - 1])
+    for k in range(count - 2, -1, -1):
+        sandwich(S[k], P[k + 1], inner)
+        for i in range(n):
+            inner[i, i] += 1.0
         sandwich(inverse_upper(R[k]), inner, P[k])
 
 
@@ -199,10 +209,13 @@ class Conditionals:
         _back_substitute(self.R, self.S, self.d, last, int(end is not None), out)
         return out
 
-    def covariances(self) -> Array:
-        """Marginal covariances (N, n, n) of all epochs."""
+    def covariances(self, end: Array | None = None) -> Array:
+        """Marginal covariances (N, n, n) of all epochs; end (n, n): that of the last one,
+        where it is known better."""
         P = np.empty_like(self.R)
-        _covariances(self.R, self.S, P)
+        if end is not None:
+            P[-1] = end
+        _covariances(self.R, self.S, P, int(end is not None))
         return P
 
     def decrease(self) -> float:

@@ -25,7 +25,8 @@ def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:
     for i, name in enumerate(assembly.sensor_names):
         if name in gates:
             limits[i] = chdtri(assembly.tables.sensors[i, ROWS], 1.0 - gates[name])
-    return limits[assembly.sensor_of]
+    by_observation: Array = limits[assembly.sensor_of]
+    return by_observation
 
 
 def residual_weights(
@@ -35,8 +36,9 @@ def residual_weights(
     ends = np.cumsum(assembly.heights)
     total = np.concatenate(([0.0], np.cumsum(rows.r**2)))
     squares = total[ends] - total[ends - assembly.heights]
-    passed = (rows.status == 0) & (squares <= thresholds(assembly, gates))
-    return passed.astype(np.float64)
+    weights: Array = (rows.status == 0).astype(np.float64)
+    weights[squares > thresholds(assembly, gates)] = 0.0
+    return weights
 
 
 def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:

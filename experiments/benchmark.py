@@ -1,0 +1,143 @@
+"""What the estimators cost, side by side in one run, on one problem and one thread.
+
+Ratios are medians of pairs taken in turn; a row counts only when its solver came to the same
+optimum, to 1e-6 of a sigma (FilterPy's and our filter's rows do not claim to).
+
+Run it: ``python experiments/benchmark.py [--quick] [--json] [-o FIGURE]``, with the extra
+`benchmark` installed. --quick leaves out the million epochs and the general solvers.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+sys.path.insert(0, str(Path(__file__).parent))
+from benchmarks import batch, online, others, start
+from benchmarks.passes import first, pass_of, problem_of
+
+LENGTHS = (1_000, 10_000, 100_000)
+Rows = tuple[dict[str, Any], dict[int, float]]
+
+
+def say(text: str) -> None:
+    """A line of progress."""
+    click.echo(text, err=True)
+
+
+def measure_batch(problem: Any, lengths: tuple[int, ...], lm: int, quick: bool) -> Rows:
+    """The rows of batch, and the time of an iteration per epoch by length."""
+    floors, per_epoch = {}, {}
+    over_ekf = 0.0
+    for length in lengths:
+        p = pass_of(first(problem, length))
+        floors[length], per_epoch[length] = batch.over_floor(p)
+        say(
+            f"batch, {length} epochs: a full iteration {1e6 * per_epoch[length]:.0f} us per epoch,"
+            f" {floors[length]:.2f} times LAPACK's banded Cholesky"
+        )
+        if length == lengths[0]:
+            over_ekf = batch.over_ekf(p)
+            say(f"batch, {length} epochs, all covariances: {over_ekf:.1f} times our EKF's pass")
+    faster: dict[str, float | None] = dict.fromkeys(
+        ("gtsam_lm", "scipy_least_squares", "pyceres", "filterpy_rts")
+    )
+    p = pass_of(first(problem, lm))
+    faster["gtsam_lm"] = batch.faster_than_gtsam(p)
+    say(f"batch, {lm} epochs: faster than GTSAM's optimiser by {faster['gtsam_lm']}")
+    if not quick:
+        p = pass_of(first(problem, min(lm, 300)))
+        faster["scipy_least_squares"] = others.faster_than_scipy(p)
+        faster["pyceres"] = others.faster_than_pyceres(p)
+        faster["filterpy_rts"], far = others.faster_than_filterpy(p)
+        say(f"FilterPy's filter is up to {far:.2g} sigma from the optimum")
+        say(f"batch, {len(p.start)} epochs: faster than others by {faster}")
+    rows = {
+        "floor_ratio": floors[sorted(lengths)[len(lengths) // 2]],
+        "flatness": max(per_epoch.values()) / min(per_epoch.values()),
+        "over_ekf": over_ekf,
+        "faster_than": faster,
+        "million_epochs_gib": None if quick else start.million_epochs(),
+    }
+    return rows, per_epoch
+
+
+def measure_isam2(problem: Any, length: int, at: int) -> tuple[dict[str, Any], Any]:
+    """The rows of isam2, and the time of each step."""
+    own = first(problem, length)
+    took, last = online.run_isam2(own)
+    naive = online.naive_step(pass_of(first(problem, at + 20)), at)
+    rows = {
+        "growth": online.growth(took),
+        "faster_than_naive": naive / online.our_step(problem, at),
+        "sigma_from_batch": online.sigma_from_batch(pass_of(own), last),
+    }
+    say(f"isam2, {length} epochs: {1e3 * np.median(took):.2f} ms per step; {rows}")
+    return rows, took
+
+
+def draw(path: Path, per_epoch: dict[int, float], took: Any) -> None:
+    """Cost against length, both axes logarithmic."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.5))
+    axes = figure.subplots()
+    epochs = range(10, len(took), 10)
+    steps = [1e6 * online.around(took, k) for k in epochs]
+    axes.loglog(epochs, steps, label="isam2, one step")
+    axes.loglog(
+        list(per_epoch), [1e6 * t for t in per_epoch.values()], "o-", label="batch, one iteration"
+    )
+    axes.set_xlabel("epochs")
+    axes.set_ylabel("time per epoch, us")
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=150)
+
+
+def main(
+    quick: bool = False,
+    figure: Path | None = None,
+    lengths: tuple[int, ...] = LENGTHS,
+    lm: int = 2_000,
+    steps: int = 20_000,
+    naive: int = 2_000,
+    cold: bool = True,
+) -> dict[str, Any]:
+    """All rows; the sizes are those of the published figures unless given."""
+    with threadpool_limits(1, "blas"):
+        say(f"simulating {max(*lengths, steps)} epochs of zhang2015 ...")
+        problem = problem_of(max(*lengths, steps, lm, naive + 20))
+        rows, per_epoch = measure_batch(problem, lengths, lm, quick)
+        isam2, took = measure_isam2(problem, steps, naive)
+        say(f"studies: {start.studies_per_second(min(600, lm)):.2f} runs per second and worker")
+        first_compile, warm = start.compare_times() if cold else (None, None)
+        say(f"relnav compare: compiles for {first_compile} s once; then {warm} s in all")
+    if figure is not None:
+        draw(figure, per_epoch, took)
+    return {
+        "batch": rows,
+        "isam2": isam2,
+        "fixed_lag": {"growth": None, "p99_over_median": None},
+        "start": {"help_s": start.help_time(), "first_compile_s": first_compile},
+    }
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Leave out the long and the foreign rows.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("-o", "figure", type=click.Path(path_type=Path), help="Figure to draw.")
+def command(quick: bool, as_json: bool, figure: Path | None) -> None:
+    """Measure what the estimators cost."""
+    found = main(quick, figure)
+    click.echo(json.dumps(found, indent=None if as_json else 2))
+
+
+if __name__ == "__main__":
+    command()

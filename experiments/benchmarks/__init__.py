@@ -1,0 +1,1 @@
+"""Comparisons of `experiments/benchmark.py`, one per file."""

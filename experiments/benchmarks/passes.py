@@ -1,0 +1,109 @@
+"""The problem of all comparisons: zhang2015, of any length; and how times are taken."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.estimators.batch import Solution, solve
+from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
+from relnav_graph.estimators.rts import smooth
+from relnav_graph.problem import Epoch, Problem, make_epochs
+from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.sim import Timing, measure, stream
+from relnav_graph.track import Truth
+
+Array = NDArray[np.float64]
+SCENARIO = Path(__file__).parents[1] / "zhang2015.toml"
+#: What "the same optimum" means, in sigmas of every state.
+SAME = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """A pass, where every solver starts (the smoothed filter), and where it should end."""
+
+    problem: Problem
+    assembly: Assembly
+    start: Array
+    weights: Array
+    solution: Solution
+    sigma: Array
+
+    def distance(self, x: Array) -> float:
+        """Largest component of x minus the optimum, in sigmas."""
+        return float(np.abs(self.assembly.layout.local(self.solution.x, x) / self.sigma).max())
+
+
+def scenario_of(epochs: int, *settings: str) -> Scenario:
+    """zhang2015 with so many epochs."""
+    return load_scenario(SCENARIO, [f"time.epochs={epochs}", *settings])
+
+
+def problem_of(epochs: int) -> Problem:
+    """A simulated pass."""
+    scenario = scenario_of(epochs)
+    return scenario.problem(scenario.simulate(0), 0)
+
+
+def pass_of(problem: Problem) -> Pass:
+    """With its optimum, to far below `SAME`."""
+    done = filter_pass(problem, ITERATIONS)
+    start, weights = smooth(done, covariances=False)[0], done.weights
+    assembly = done.assembly
+    found = solve(assembly, problem.prior, start, weights, tolerance=1e-8)
+    sigma = np.sqrt(np.einsum("kii->ki", found.conditionals.covariances()))
+    return Pass(problem, assembly, start, weights, found, sigma)
+
+
+def first(problem: Problem, epochs: int) -> Problem:
+    """The first epochs of a pass."""
+    return replace(problem, epochs=problem.epochs[:epochs])
+
+
+def lazy_pass(epochs: int, chunk: int = 1000) -> tuple[Problem, Iterator[Epoch]]:
+    """A pass of any length whose epochs are made when they are asked for: the problem with
+    the first chunk, and the rest. One second apart, so that its truth fits into memory."""
+    scenario = scenario_of(epochs, 'time.step="1 s"', 'inputs.gyro.period="1 s"')
+    bare = scenario_of(2, 'time.step="1 s"', 'inputs.gyro.period="1 s"')
+    everything: Any = replace(scenario, sensors={})
+    recording = everything.simulate(0)
+    truth = recording.truth
+    problem = bare.problem(bare.simulate(0), 0)
+    rng = stream(0, 0, "sensor beacons")
+
+    def parts() -> Iterator[Epoch]:
+        for begin in range(0, epochs, chunk):
+            own = slice(begin, min(begin + chunk, epochs))
+            times = recording.times[max(begin - 1, 0) : own.stop]
+            values = {name: v[own] for name, v in truth.values.items()}
+            part = Truth(truth.t[own], values)
+            seen = [
+                m
+                for name, sensor in scenario.sensors.items()
+                for m in measure(name, sensor, Timing(), part, rng)
+            ]
+            made = make_epochs(scenario.processes, seen, recording.inputs, times)
+            yield from made[1:] if begin else made
+
+    rest = parts()
+    return replace(problem, epochs=(next(rest),)), rest
+
+
+def seconds(run: Callable[[], object]) -> float:
+    """Time of one call."""
+    begun = time.perf_counter()
+    run()
+    return time.perf_counter() - begun
+
+
+def ratio(ours: Callable[[], object], other: Callable[[], object], pairs: int = 5) -> float:
+    """Median over pairs, taken in turn, of the time of `other` over that of `ours`."""
+    return float(np.median([seconds(other) / seconds(ours) for _ in range(pairs)]))

@@ -1,0 +1,132 @@
+"""The batch smoother for passes whose matrices do not fit into memory.
+
+The same optimum and the same covariances as `relnav_graph.estimators.batch`, in parts: going
+forward, each part leaves only the exact linear summary of all before it; going back, each is
+eliminated once more from the summary that it began with. What stays of an epoch is its
+trajectory and what was measured, a few hundred numbers instead of some thousands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.errors import EstimationError
+from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
+from relnav_graph.estimators.gating import count_rejected
+from relnav_graph.estimators.rts import smooth
+from relnav_graph.problem import Epoch, Problem
+from relnav_graph.sweep import Anchor, System, anchor_of, linearize
+from relnav_graph.track import Track
+
+__all__ = ["smooth_long_pass"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class _Part:
+    """Adjoining epochs; in front of them the last one of the part before, without its
+    measurements, which are in the anchor.
+
+    x (N, size): trajectory; first: the one at which noise is taken; anchor: what all before
+    says of the first epoch.
+    """
+
+    assembly: Assembly
+    weights: Array
+    x: Array
+    first: Array
+    anchor: Anchor
+
+    def system(self) -> System:
+        whiten = self.assembly.whitening(self.assembly.transition(self.first[:-1])[2])
+        return linearize(self.assembly, self.anchor, self.x, whiten, self.weights)
+
+
+def _parts(problem: Problem, epochs: Iterator[Epoch], size: int) -> Iterator[_Part]:
+    """The pass in parts, with trajectories from the iterated filter, each smoothed alone."""
+    kalman, layout = KalmanFilter(problem, ITERATIONS), problem.layout
+    models, anchor = (layout, problem.processes, problem.sensors), anchor_of(problem.prior)
+    while own := list(islice(epochs, size)):
+        assembly, before = Assembly(*models, own, kalman.t), kalman.x
+        done = kalman.run(assembly)
+        if done.stopped:
+            raise EstimationError(done.stopped)
+        x = smooth(done, covariances=False)[0]
+        if len(assembly.tables.starts) == len(x):
+            assembly, x = assembly.preceded(), np.concatenate([before[None], x])
+        yield _Part(assembly, done.weights, x, x.copy(), anchor)
+
+
+def _forward(parts: list[_Part]) -> tuple[float, float]:
+    """Give each part its anchor; the whole cost, and the squared length of the Gauss-Newton
+    step in sigmas."""
+    cost = squared = 0.0
+    for part, after in zip(parts, [*parts[1:], None], strict=True):
+        system = part.system()
+        c = system.conditionals
+        own = c.d[:-1] if after is not None else c.d
+        squared += float(np.sum(own**2))
+        cost += system.cost
+        if after is not None:  # its first row repeats this one's last
+            after.x[0] = after.first[0] = part.x[-1]
+            after.anchor = Anchor(part.x[-1].copy(), c.R[-1], c.d[-1])
+            cost -= 0.5 * float(c.d[-1] @ c.d[-1])
+    return cost, squared
+
+
+def _step(parts: list[_Part]) -> None:
+    """Move all trajectories by one Gauss-Newton step."""
+    end = None
+    for part in reversed(parts):
+        system = part.system()
+        step = system.conditionals.solution(end)
+        part.x, end = part.assembly.layout.retract(system.x, step), step[0]
+
+
+def smooth_long_pass(
+    problem: Problem,
+    more: Iterable[Epoch] = (),
+    *,
+    part: int = 1000,
+    tolerance: float = 1e-3,
+    max_iterations: int = 20,
+) -> Iterator[Track]:
+    """Smooth a pass of any length; tracks of adjoining parts, the last one first.
+
+    problem: with the first epochs; more: all that follow, read once and not kept. part:
+    epochs of each part; tolerance: as of `relnav_graph.estimators.batch.solve`. Observations
+    that the filter's gates leave out stay left out. Raises EstimationError when the filter
+    cannot go through, or when Gauss-Newton does not converge.
+    """
+    parts = list(_parts(problem, chain(problem.epochs, more), part))
+    cost, squared = _forward(parts)
+    for _ in range(max_iterations):
+        if squared < tolerance**2:
+            break
+        _step(parts)
+        cost, squared = _forward(parts)
+    else:
+        raise EstimationError(f"not converged: last step {np.sqrt(squared):.2g} sigma")
+    if not np.isfinite(cost):
+        raise EstimationError("the cost is not finite")
+    P_end: Array | None = None
+    for one in reversed(parts):
+        P = one.system().conditionals.covariances(P_end)
+        own = slice(0 if one is parts[0] else 1, None)
+        yield Track(
+            name="batch",
+            kind="smoothed",
+            layout=problem.layout,
+            t=one.assembly.times[own],
+            x=one.x[own],
+            P=P[own],
+            rejected=count_rejected(one.assembly, one.weights),
+        )
+        P_end = P[0]

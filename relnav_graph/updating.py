@@ -1,0 +1,253 @@
+"""The compiled measurement update of a filter.
+
+Rows are whitened: the noise of the measurements is the unit matrix.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.loops import observe
+from relnav_graph.matrices import (
+    cholesky,
+    product,
+    sandwich,
+    solve_lower,
+    solve_lower_transposed,
+    symmetrize,
+)
+from relnav_graph.state import local, retract, times_jacobian
+
+__all__ = [
+    "copy",
+    "innovation_covariance",
+    "scaled_cholesky",
+    "sum_of_squares",
+    "to_tangent",
+    "update",
+]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@jit
+def _transposed_product(a: Array, b: Array, sign: float, out: Array) -> None:
+    """``out = out + sign a^T b``."""
+    for l in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            f = sign * a[l, i]
+            if f != 0.0:
+                for j in range(b.shape[1]):
+                    out[i, j] += f * b[l, j]
+
+
+@jit
+def copy(a: Array, out: Array) -> None:
+    """``out = a``."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j]
+
+
+@jit
+def sum_of_squares(v: Array) -> float:
+    """``v^T v``."""
+    out = 0.0
+    for i in range(v.shape[0]):
+        out += v[i] * v[i]
+    return out
+
+
+@jit
+def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
+    """L of the correlation matrix of P, and the sigmas; False unless positive definite."""
+    for i in range(P.shape[0]):
+        scale[i] = np.sqrt(P[i, i])
+    for i in range(P.shape[0]):
+        for j in range(P.shape[0]):
+            L[i, j] = P[i, j] / (scale[i] * scale[j])
+    return cholesky(L)
+
+
+@jit
+def _squared_length(L: Array, scale: Array, d: Array) -> float:
+    """``d^T P^-1 d``, from the factor of the correlation matrix."""
+    v = np.empty((d.shape[0], 1))
+    for i in range(d.shape[0]):
+        v[i, 0] = d[i] / scale[i]
+    solve_lower(L, v)
+    return sum_of_squares(v[:, 0])
+
+
+@jit
+def innovation_covariance(H: Array, P: Array, HP: Array, S: Array) -> None:
+    """``S = H P H^T + I``, symmetric, and ``H P`` on the way."""
+    product(H, P, HP)
+    for i in range(H.shape[0]):
+        for j in range(i + 1):
+            value = 1.0 if i == j else 0.0
+            for l in range(H.shape[1]):
+                value += HP[i, l] * H[j, l]
+            S[i, j] = S[j, i] = value
+
+
+@jit
+def _gain(H: Array, P: Array, gain_T: Array) -> bool:
+    """The transposed gain, ``(H P H^T + I)^-1 H P``."""
+    S = np.empty((H.shape[0], H.shape[0]))
+    innovation_covariance(H, P, gain_T, S)
+    if not cholesky(S):
+        return False
+    solve_lower(S, gain_T)
+    solve_lower_transposed(S, gain_T)
+    return True
+
+
+@jit
+def _joseph(P0: Array, gain_T: Array, H: Array, P: Array) -> None:
+    """``(I - K H) P0 (I - K H)^T + K K^T``."""
+    left = so3.identity(P0.shape[0])
+    _transposed_product(gain_T, H, -1.0, left)
+    sandwich(left, P0, P)
+    _transposed_product(gain_T, gain_T, 1.0, P)
+
+
+@jit
+def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
+    """``P = J P J^T``: a covariance moved to the tangent of the state that is d away (or,
+    inverse, from there). Exactly symmetric."""
+    for k in range(kinds.shape[0]):
+        if kinds[k, 0]:
+            j = kinds[k, 2]
+            phi = so3.vector_at(d, j)
+            J = so3.right_jacobian_inverse(phi) if inverse else so3.right_jacobian(phi)
+            for c in range(P.shape[0]):
+                a0, a1, a2 = P[j, c], P[j + 1, c], P[j + 2, c]
+                for m in range(3):
+                    P[j + m, c] = J[m, 0] * a0 + J[m, 1] * a1 + J[m, 2] * a2
+            for c in range(P.shape[0]):
+                a0, a1, a2 = P[c, j], P[c, j + 1], P[c, j + 2]
+                for m in range(3):
+                    P[c, j + m] = J[m, 0] * a0 + J[m, 1] * a1 + J[m, 2] * a2
+    symmetrize(P)
+
+
+@jit
+def _possible(before: Indices, after: Indices) -> bool:
+    """Whether a new state is one: no kernel broke its contract, and no observation that was
+    possible has become impossible, which must not pass for one that fits."""
+    lost = 0
+    for i in range(after.shape[0]):
+        if after[i] < 0 or (after[i] > 0 and before[i] == 0):
+            lost += 1
+    return lost == 0
+
+
+@jit
+def update(
+    sensors: Indices,
+    observations: Indices,
+    places: Indices,
+    numbers: Array,
+    kinds: Indices,
+    epoch: int,
+    first: int,
+    last: int,
+    rows: int,
+    iterations: int,
+    weight: Array,
+    x: Array,
+    P: Array,
+) -> bool:
+    """Measurement update of one epoch in place: x (size,), P (n, n), in Joseph's form.
+
+    One iteration is the extended Kalman filter; more are Gauss-Newton steps towards the
+    maximum a posteriori (Bell and Cathey 1993), halved while the cost grows and given up
+    when that does not help. P is in the tangent of the updated state. False when a
+    covariance is not positive definite.
+    """
+    n = P.shape[0]
+    x0, P0, scale, L = x.copy(), P.copy(), np.empty(n), np.empty((n, n))
+    if not scaled_cholesky(P0, scale, L):
+        return False
+    r, H, H0 = np.empty(rows), np.empty((rows, n)), np.empty((rows, n))
+    r_try, H_try = np.empty(rows), np.empty((rows, n))
+    status, status_try = np.empty(last - first, np.int64), np.empty(last - first, np.int64)
+    gain_T, innovation = np.empty((rows, n)), np.empty(rows)
+    at = x.copy().reshape(1, x.shape[0])
+    observe(sensors, observations, places, numbers, first, last, epoch, at, weight, r, H, status)
+    e = np.zeros(n)
+    cost = sum_of_squares(r)
+    for _ in range(iterations):
+        copy(H, H0)
+        times_jacobian(H0, e, kinds, False)  # to perturbations in the tangent of x0
+        if not _gain(H0, P0, gain_T):
+            return False
+        for i in range(rows):
+            innovation[i] = r[i]
+            for j in range(n):
+                innovation[i] -= H0[i, j] * e[j]
+        ahead = so3.unrotate(gain_T, innovation)
+        step = np.empty((1, n))
+        for j in range(n):
+            step[0, j] = -ahead[j] - e[j]
+        _stepto_tangent(step, e, kinds)
+        if iterations == 1:
+            moved = retract(x, step[0], kinds)
+            for i in range(x.shape[0]):
+                x[i] = moved[i]
+            break
+        found = False
+        for _halving in range(10):
+            moved = retract(x, step[0], kinds)
+            for i in range(x.shape[0]):
+                at[0, i] = moved[i]
+            observe(
+                sensors,
+                observations,
+                places,
+                numbers,
+                first,
+                last,
+                epoch,
+                at,
+                weight,
+                r_try,
+                H_try,
+                status_try,
+            )
+            if _possible(status, status_try):
+                e = local(x0, moved, kinds, n)
+                cost_try = _squared_length(L, scale, e) + sum_of_squares(r_try)
+                if cost_try <= cost * (1 + 1e-9) + 1e-9:
+                    found = True
+                    break
+            for j in range(n):
+                step[0, j] *= 0.5
+        if not found:  # no way down from here: x is the best there is
+            break
+        # The length of the step in sigmas of the posterior; the next would be its square.
+        length2 = _squared_length(L, scale, step[0]) + sum_of_squares(so3.rotate(H, step[0]))
+        cost = cost_try
+        for i in range(x.shape[0]):
+            x[i] = moved[i]
+        r, r_try, H, H_try, status, status_try = r_try, r, H_try, H, status_try, status
+        if length2 < 1e-6:
+            break
+    _joseph(P0, gain_T, H0, P)
+    to_tangent(P, local(x0, x, kinds, n), kinds, False)
+    return True
+
+
+@jit
+def _stepto_tangent(step: Array, e: Array, kinds: Indices) -> None:
+    """``step = J step``, one row."""
+    for k in range(kinds.shape[0]):
+        if kinds[k, 0]:
+            j = kinds[k, 2]
+            turned = so3.rotate(so3.right_jacobian(so3.vector_at(e, j)), so3.vector_at(step[0], j))
+            so3.put_vector(step[0], j, turned)

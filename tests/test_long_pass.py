@@ -1,0 +1,39 @@
+"""A pass smoothed in parts is the pass smoothed at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from passes import ZHANG, differences, sigmas, toy_measurements, toy_problem
+
+from relnav_graph.estimators import run_estimator
+from relnav_graph.estimators.long_pass import smooth_long_pass
+from relnav_graph.problem import Problem
+from relnav_graph.scenario import load_scenario
+
+
+def _zhang() -> Problem:
+    scenario = load_scenario(ZHANG, ["time.epochs=120"])
+    return scenario.problem(scenario.simulate(2), 2)
+
+
+@pytest.mark.parametrize(
+    ("problem", "part"),
+    [(_zhang, 50), (_zhang, 40), (lambda: toy_problem(toy_measurements()), 7)],
+)
+def test_parts_give_what_batch_gives(problem: object, part: int) -> None:
+    """The gyro's bias and the inertia are seen by the whole pass only: what a part knows of
+    them comes from all others, before and after."""
+    whole: Problem = problem()  # type: ignore[operator]
+    batch = run_estimator("batch", whole)
+    assert batch.status == "ok", batch.message
+    first = replace(whole, epochs=whole.epochs[:1])
+    tracks = list(smooth_long_pass(first, iter(whole.epochs[1:]), part=part))[::-1]
+    assert len(tracks) == -(-len(whole.epochs) // part)
+    np.testing.assert_array_equal(np.concatenate([t.t for t in tracks]), batch.t)
+    x, P = (np.concatenate([getattr(t, a) for t in tracks]) for a in ("x", "P"))
+    sigma = sigmas(batch.P)
+    assert np.abs(differences(whole.layout, batch.x, x) / sigma).max() < 1e-3
+    assert np.abs((P - batch.P) / (sigma[:, :, None] * sigma[:, None, :])).max() < 1e-3
