@@ -75,7 +75,7 @@ class Window:
     @property
     def x(self) -> Array:
         """Estimate at the newest epoch (size,)."""
-        x: Array = self.trajectory[-1]
+        x: Array = self.trajectory[-1] if self.t is not None else self.anchor.x
         return x
 
 
@@ -113,8 +113,7 @@ class FixedLagEngine:
         p, kalman = self.problem, self._kalman
         if assembly is None:
             assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
-        x = p.prior.x if state.t is None else state.x
-        kalman.t, kalman.x, kalman.P = state.t, x, state.P
+        kalman.t, kalman.x, kalman.P = state.t, state.x, state.P
         done = kalman.step(epoch, assembly)  # where to start from, and what the gate rejects
         parts, epochs = (*state.parts, assembly), (*state.epochs, epoch)
         weights = (*state.weights, done.weights)
