@@ -62,18 +62,12 @@ def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
     return noise
 
 
-def with_constraints(where: str, Q: Array, own: NDArray[np.int64]) -> Array:
-    """Process noise Q (M, n, n) in which a state of `own` that has none gets `SMALLEST`: as
-    good as a constraint; which is said."""
-    variances = Q[:, own, own]
-    low = variances == 0.0
-    if not low.any() or not np.isfinite(variances).all():
-        return Q
-    _warn(f"{where}: a state without noise is held to it by a sigma of {SMALLEST:g}")
-    Q = Q.copy()
-    k, i = np.nonzero(low)
-    Q[k, own[i], own[i]] = SMALLEST**2
-    return Q
+def with_constraints(Q: Array) -> Array:
+    """Process noise Q (M, n, n) in which a state that has none gets `SMALLEST`: as good as a
+    constraint; which is said."""
+    _warn(f"process noise: a state without any is held by a sigma of {SMALLEST:g}")
+    diagonal = np.einsum("kii->ki", Q)
+    return Q + np.where(diagonal == 0.0, SMALLEST**2, 0.0)[:, :, None] * np.eye(Q.shape[1])
 
 
 def inverse_cholesky(where: str, covariances: Array) -> Array:

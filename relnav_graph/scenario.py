@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from relnav_graph import models, sim, so3
 from relnav_graph.compiled import announce
 from relnav_graph.errors import InputError, ModelError
+from relnav_graph.initialise import initialise
 from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
@@ -113,7 +114,8 @@ class Scenario:
     def problem(self, recording: Recording, seed: int, run: int = 0) -> Problem:
         """The problem of a recording, with the scenario's prior.
 
-        Raises InputError when the prior asks for a truth that is not known.
+        Raises InputError when the prior asks for a truth that is not known, EstimationError
+        when it is to be measured and cannot be.
         """
         epochs = make_epochs(
             self.processes, recording.measurements, recording.inputs, recording.times
@@ -122,7 +124,9 @@ class Scenario:
         prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
         models = self.processes, self.sensors
         options = self.gates, self.file.online.window, self.losses
-        return Problem(*models, prior, epochs, *options)
+        problem = Problem(*models, prior, epochs, *options)
+        measured = [b.name for b in self.layout if self.file.prior[b.name].mean == "measured"]
+        return replace(problem, prior=initialise(problem, measured)) if measured else problem
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
@@ -199,6 +203,10 @@ def make_prior(
         mean = priors[block.name].mean
         if isinstance(mean, list):
             means[block.name] = _prior_mean(block, mean)
+            draw[layout.tangent(block.name)] = 0.0
+            continue
+        if mean == "measured":  # a place to start from only
+            means[block.name] = block.unpack(layout.identity[layout.stored(block.name)])
             draw[layout.tangent(block.name)] = 0.0
             continue
         value = np.full(1, np.nan)

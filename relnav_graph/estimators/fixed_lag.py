@@ -81,7 +81,7 @@ class Window:
 
 def _joined(parts: tuple[Assembly, ...], states: int) -> Assembly:
     """The parts of a window with so many states as one."""
-    assembly = Assembly.join(parts)
+    assembly = Assembly.join(parts) if len(parts) > 1 else parts[0]
     return assembly.preceded() if states > len(parts) else assembly
 
 
