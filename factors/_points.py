@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import permutations, product
 from typing import Annotated, Literal
 
 import numpy as np
@@ -139,3 +141,40 @@ class PointSensor(SensorModel):
         packed = np.concatenate([np.ravel(value) for value in x])
         p = self.constants()
         return np.array([point_in_sensor(p, q, packed)[0] for q in self.observation_data(ids)])
+
+    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+        """About where the middle of the points `ids` is, in sensor axes (3,), m."""
+        raise NotImplementedError
+
+    def starts(
+        self, ids: NDArray[np.int64], z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """Rough poses that would put the middle of the seen points where it is seen, one for
+        each of the 24 attitudes that take axes to axes.
+
+        known: values of the other blocks; with poses in the orbital frame, that of the
+        chaser's attitude, which no sensor of points can tell.
+        """
+        middle_t = self.points[ids].mean(axis=0)
+        middle_c = self.sensor_attitude @ self.centre(ids, z) + self.sensor_position
+        for R_tc in axis_rotations():
+            if self.pose == "target":
+                r_tc_t = middle_t - R_tc @ middle_c
+                yield {RELATIVE_ATTITUDE.name: R_tc, RELATIVE_POSITION_T.name: r_tc_t}
+            elif CHASER_ATTITUDE.name in known:
+                R_oc = known[CHASER_ATTITUDE.name]
+                R_ot = R_oc @ R_tc.T
+                r_tc_o = R_ot @ middle_t - R_oc @ middle_c
+                yield {TARGET_ATTITUDE.name: R_ot, RELATIVE_POSITION.name: r_tc_o}
+
+
+def axis_rotations() -> list[Array]:
+    """The 24 rotations that take axes to axes: none is farther than 63 deg from one."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            R = np.zeros((3, 3))
+            R[range(3), order] = signs
+            if np.linalg.det(R) > 0:
+                found.append(R)
+    return found

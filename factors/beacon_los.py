@@ -131,5 +131,13 @@ class BeaconLineOfSight(PointSensor):
         """Turn each line by the rotation e (k, 2), rad, across it."""
         return turned(np.ascontiguousarray(z), np.ascontiguousarray(e))
 
+    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+        """As far away as makes the points' spread look as large as it does."""
+        middle = z.mean(axis=0)
+        spread = np.sqrt(((z - middle) ** 2).sum(axis=1).mean())
+        size = np.sqrt(((self.points[ids] - self.points[ids].mean(axis=0)) ** 2).sum(axis=1).mean())
+        distance = np.sqrt(2 / 3) * size / max(spread, 1e-9)  # seen from a side, on average
+        return np.asarray(distance * middle / np.linalg.norm(middle))
+
     def noise(self, m: Measurement) -> Array:
         return np.tile(self.sigma**2 * np.eye(2), (len(m.z), 1, 1))

@@ -95,6 +95,12 @@ class StereoPoint(PointSensor):
             out[k] = project_stereo(p, point_s)[0]
         return out
 
+    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+        """The middle of the points, each where its two lines meet."""
+        depth = self.fu * self.baseline / np.maximum(z[:, 0] - z[:, 2], 1e-3)
+        across = (z[:, 0] - self.cu) / self.fu, (z[:, 1] - self.cv) / self.fv
+        return np.array([np.mean(depth * across[0]), np.mean(depth * across[1]), depth.mean()])
+
     def noise(self, m: Measurement) -> Array:
         return np.tile(np.diag(self.pixel_sigma**2), (len(m.z), 1, 1))
 
@@ -116,6 +122,10 @@ class StereoPointCartesian(PointSensor):
     def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
         """Positions (k, 3) in sensor axes, m."""
         return self.points_in_sensor(ids, *x)
+
+    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+        """The middle of the positions."""
+        return np.asarray(z.mean(axis=0))
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(np.diag(self.sigma**2), (len(m.z), 1, 1))

@@ -340,9 +340,8 @@ class Assembly:
     def whitening(self, Q: Array) -> Array:
         """Whitening matrices (M, n, n) of the process noise. Raises InputError."""
         whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
-        for name, process in self._processes.items():
-            _, own = self.layout.gather(process.advances)
-            Q = with_constraints(f"process {name!r}", Q, own)
+        if not np.einsum("kii->ki", Q).all():
+            Q = with_constraints(Q)
         loops.whitening(self.tables.processes, self.tables.places, Q, whiten, failure)
         if failure[2]:
             name = list(self._processes)[failure[1]]

@@ -60,7 +60,8 @@ class _Reader:
 
 
 def _check_keys(kind: str, keys: Sequence[int], blocks: Sequence[Block]) -> None:
-    if len(keys) != len(blocks) or len(set(keys)) != len(keys):
+    whole = all(isinstance(k, (int, np.integer)) and k >= 0 for k in keys)
+    if not whole or len(keys) != len(blocks) or len(set(keys)) != len(keys):
         names = [b.name for b in blocks]
         raise InputError(f"{kind}: found keys {list(keys)}, expected a different one for {names}")
 

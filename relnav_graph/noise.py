@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,9 @@ Array = NDArray[np.float64]
 
 #: A sigma below this fraction of the number that it belongs to is lost in rounding.
 RESOLUTION = 1e2 * float(np.finfo(np.float64).eps)
-#: The smallest sigma of process noise, in SI: what no state here resolves.
-SMALLEST = 1e-14
+#: Sigma of process noise, in SI, that stands for none: what no state here resolves, and yet
+#: not so small that its inverse spoils the rounding of the rows beside it.
+SMALLEST = 1e-12
 
 
 def raised(where: str, noise: Array, z: Array) -> Array:
@@ -28,14 +30,21 @@ def raised(where: str, noise: Array, z: Array) -> Array:
     variances = np.einsum("kii->ki", noise)
     low = (variances > 0) & (variances < floor[:, None])
     if low.any():
-        _LOG.warning(
-            "%s: sigma %.3g is lost in the rounding of values of %.3g; raised to %.3g",
-            *(where, np.sqrt(variances[low].min()), np.abs(z).max(), np.sqrt(floor.max())),
+        smallest, floors = np.sqrt(variances[low].min()), np.sqrt(floor.max())
+        _warn(
+            f"{where}: sigma {smallest:.3g} is lost in the rounding of values of"
+            f" {np.abs(z).max():.2g}; raised to {floors:.2g}"
         )
         noise = noise.copy()
         k, i = np.nonzero(low)
         noise[k, i, i] = floor[k]
     return noise
+
+
+@cache
+def _warn(text: str) -> None:
+    """Say it once, not for every epoch."""
+    _LOG.warning(text)
 
 
 def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
@@ -53,18 +62,12 @@ def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
     return noise
 
 
-def with_constraints(where: str, Q: Array, own: NDArray[np.int64]) -> Array:
-    """Process noise Q (M, n, n) in which a state of `own` that has none gets `SMALLEST`: as
-    good as a constraint; which is said."""
-    variances = Q[:, own, own]
-    low = variances < SMALLEST**2
-    if not low.any() or not np.isfinite(variances).all():
-        return Q
-    _LOG.warning("%s: noise of sigma below %.3g is taken as a constraint", where, SMALLEST)
-    Q = Q.copy()
-    k, i = np.nonzero(low)
-    Q[k, own[i], own[i]] = SMALLEST**2
-    return Q
+def with_constraints(Q: Array) -> Array:
+    """Process noise Q (M, n, n) in which a state that has none gets `SMALLEST`: as good as a
+    constraint; which is said."""
+    _warn(f"process noise: a state without any is held by a sigma of {SMALLEST:g}")
+    diagonal = np.einsum("kii->ki", Q)
+    return Q + np.where(diagonal == 0.0, SMALLEST**2, 0.0)[:, :, None] * np.eye(Q.shape[1])
 
 
 def inverse_cholesky(where: str, covariances: Array) -> Array:

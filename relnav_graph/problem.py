@@ -168,6 +168,10 @@ class Problem:
     def __post_init__(self) -> None:
         for name in ("processes", "sensors", "gates", "losses"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for name in ("gates", "losses"):
+            for sensor in getattr(self, name):
+                if sensor not in self.sensors:
+                    raise InputError(f"{name}: unknown sensor {sensor!r}")
         object.__setattr__(self, "epochs", tuple(self.epochs))
         object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))
         n = self.layout.dim

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from relnav_graph import models, sim, so3
 from relnav_graph.compiled import announce
 from relnav_graph.errors import InputError, ModelError
+from relnav_graph.initialise import initialise
 from relnav_graph.magnitude import wrong_unit
 from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.problem import Epoch, Prior, Problem, layout_of, make_epochs
@@ -115,17 +116,22 @@ class Scenario:
         """The problem of a recording, with the scenario's prior.
 
         Raises InputError when the prior asks for a truth that is not known, or when the
-        first measurements fit it in another unit only.
+        first measurements fit it in another unit only; EstimationError when it is to be
+        measured and cannot be.
         """
         epochs = make_epochs(
             self.processes, recording.measurements, recording.inputs, recording.times
         )
-        prior = self.prior(recording.truth, epochs[0].t, seed, run)
+        problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
+        measured = [b.name for b in self.layout if self.file.prior[b.name].mean == "measured"]
+        if measured:
+            problem = replace(problem, prior=initialise(problem, measured))
+        prior = problem.prior
         for m in epochs[0].measurements:
             reason = wrong_unit(self.sensors[m.sensor], m, self.layout, prior.x, prior.P)
             if reason is not None:
                 raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")
-        return self.problem_at(prior, epochs)
+        return problem
 
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""
@@ -226,6 +232,10 @@ def make_prior(
         mean = priors[block.name].mean
         if isinstance(mean, list):
             means[block.name] = _prior_mean(block, mean)
+            draw[layout.tangent(block.name)] = 0.0
+            continue
+        if mean == "measured":  # a place to start from only
+            means[block.name] = block.unpack(layout.identity[layout.stored(block.name)])
             draw[layout.tangent(block.name)] = 0.0
             continue
         value = np.full(1, np.nan)

@@ -119,14 +119,14 @@ class OnlineSettings(BaseModel):
 class BlockPrior(BaseModel):
     """Prior of one block. sigma: one for all axes or one each, SI or strings with units.
 
-    mean: "drawn" about the truth with sigma (simulation only), "truth" itself, or values
-    (an attitude as a rotation vector).
+    mean: "drawn" about the truth with sigma (simulation only), "truth" itself, "measured"
+    by the first frames, or values (an attitude as a rotation vector).
     """
 
     model_config = _STRICT
 
     sigma: Any
-    mean: Literal["drawn", "truth"] | list[Any] = "drawn"
+    mean: Literal["drawn", "truth", "measured"] | list[Any] = "drawn"
 
 
 class ScenarioFile(BaseModel):

@@ -75,13 +75,13 @@ class Window:
     @property
     def x(self) -> Array:
         """Estimate at the newest epoch (size,)."""
-        x: Array = self.trajectory[-1]
+        x: Array = self.trajectory[-1] if self.t is not None else self.anchor.x
         return x
 
 
 def _joined(parts: tuple[Assembly, ...], states: int) -> Assembly:
     """The parts of a window with so many states as one."""
-    assembly = Assembly.join(parts)
+    assembly = Assembly.join(parts) if len(parts) > 1 else parts[0]
     return assembly.preceded() if states > len(parts) else assembly
 
 
@@ -113,8 +113,7 @@ class FixedLagEngine:
         p, kalman = self.problem, self._kalman
         if assembly is None:
             assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
-        x = p.prior.x if state.t is None else state.x
-        kalman.t, kalman.x, kalman.P = state.t, x, state.P
+        kalman.t, kalman.x, kalman.P = state.t, state.x, state.P
         done = kalman.step(epoch, assembly)  # where to start from, and what the gate rejects
         parts, epochs = (*state.parts, assembly), (*state.epochs, epoch)
         weights = (*state.weights, done.weights)

@@ -1,0 +1,195 @@
+"""A first estimate from the first measurements, where these suffice.
+
+Blocks that a scenario calls "measured" have no mean beforehand. Sensors that can (those with
+a method `starts`) give rough values for them from one frame; each is improved by least
+squares on that frame, with the sensors' own residuals. What is left are different minima:
+mirror poses of coplanar points, say. Each is a hypothesis, which the batch smoother extends
+over a few more frames, rates and all; the one that fits best is taken.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.errors import EstimationError
+from relnav_graph.estimators.batch import UNSOLVED, solve_gated
+from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
+from relnav_graph.estimators.rts import smooth
+from relnav_graph.problem import Epoch, Prior, Problem
+from relnav_graph.state import Layout
+
+__all__ = ["Hypothesis", "hypotheses", "initialise"]
+
+_LOG = logging.getLogger(__name__)
+Array = NDArray[np.float64]
+
+#: Half the squared residuals by which one hypothesis must fit better than the next: the odds
+#: are then e^8, 3000 to 1.
+DECISIVE = 8.0
+#: A direction is not seen when the frame tells less of it than this fraction of what it tells
+#: of the best seen one, each in units of the prior's sigma.
+UNSEEN = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A minimum: state x (size,) at the first epoch, and half its squared residuals."""
+
+    x: Array
+    cost: float
+
+
+def _same(layout: Layout, a: Array, b: Array, names: Sequence[str]) -> bool:
+    """Whether two states are one minimum: attitudes within half a degree, vectors a percent."""
+    d = layout.local(a, b)
+    for name in names:
+        size = 1.0 if layout.block(name).manifold == "SO3" else np.linalg.norm(a[layout.stored(name)])
+        if np.linalg.norm(d[layout.tangent(name)]) > 0.01 * size:
+            return False
+    return True
+
+
+def _improve(
+    assembly: Assembly, x: Array, columns: NDArray[np.int64]
+) -> tuple[Array, float, Array]:
+    """Least squares on one epoch over some tangent columns (Levenberg): x, cost, H."""
+    every, damping = np.ones(assembly.observations), 1e-3
+    rows = assembly.measure(x[None], every)
+    lost, cost = int((rows.status > 0).sum()), float(rows.r @ rows.r)
+    for _ in range(60):
+        H = rows.H[:, columns]
+        A = H.T @ H
+        A[np.diag_indices_from(A)] *= 1 + damping
+        d = np.zeros(assembly.layout.dim)
+        d[columns] = -np.linalg.lstsq(A, H.T @ rows.r, rcond=None)[0]
+        moved = assembly.layout.retract(x, d)
+        after = assembly.measure(moved[None], every)
+        lost_after, cost_after = int((after.status > 0).sum()), float(after.r @ after.r)
+        if lost_after > lost or (lost_after == lost and cost_after > cost):
+            damping *= 10
+            if damping > 1e8:
+                break
+            continue
+        settled = cost - cost_after < 1e-9 * (1 + cost_after) and lost == lost_after
+        x, rows, cost, lost = moved, after, cost_after, lost_after
+        damping = max(damping / 10, 1e-12)
+        if settled:
+            break
+    return x, np.inf if lost else 0.5 * cost, rows.H
+
+
+def _starts(problem: Problem, epoch: Epoch, names: Sequence[str]) -> Iterator[Array]:
+    """Rough states at an epoch, from its sensors."""
+    layout = problem.layout
+    known = {b.name: layout.value(problem.prior.x, b.name) for b in layout if b.name not in names}
+    for m in epoch.measurements:
+        sensor = problem.sensors[m.sensor]
+        starts = getattr(sensor, "starts", None)
+        if starts is None:
+            continue
+        z = sensor.accept(m.z)
+        for values in starts(m.ids, z, known):
+            yield layout.pack({**layout.values(problem.prior.x), **values})
+
+
+def _check_seen(problem: Problem, epoch: Epoch, H: Array, names: Sequence[str]) -> None:
+    """Raise EstimationError, naming them, when directions of the blocks are not seen."""
+    layout = problem.layout
+    _, columns = layout.gather([layout.block(n) for n in names])
+    sigma = np.sqrt(np.diag(problem.prior.P))[columns]
+    w, V = np.linalg.eigh((H[:, columns] * sigma).T @ (H[:, columns] * sigma))
+    weak = w < UNSEEN * max(w[-1], 1e-300)
+    if not weak.any():
+        return
+    labels = [f"{n}[{i}]" for n in names for i in range(layout.block(n).dim)]
+    found = []
+    for v in V[:, weak].T:
+        strong = [i for i in np.argsort(-np.abs(v)) if abs(v[i]) > 0.2]
+        found.append(" ".join(f"{v[i]:+.2f} {labels[i]}" for i in strong))
+    sensors = ", ".join(f"{m.sensor} ({len(m.z)})" for m in epoch.measurements)
+    raise EstimationError(
+        f"initialise: the first frame, t = {epoch.t} s, with {sensors or 'no measurement'}, does"
+        f" not determine {weak.sum()} directions, in units of the prior's sigmas: "
+        + "; ".join(found)
+    )
+
+
+def hypotheses(problem: Problem, names: Sequence[str]) -> list[Hypothesis]:
+    """What the first frame says of the blocks `names`: minima, the best first.
+
+    Raises EstimationError, naming what is missing, when there is no sensor that can tell, or
+    when it does not see enough.
+    """
+    layout, epoch = problem.layout, problem.epochs[0]
+    able = [n for n, s in problem.sensors.items() if hasattr(s, "starts")]
+    starts = list(_starts(problem, epoch, names))
+    if not starts:
+        raise EstimationError(
+            f"initialise: nothing at the first epoch, t = {epoch.t} s, says where to start for"
+            f" {', '.join(names)}; it takes a frame of one of: {', '.join(able) or 'no sensor'}"
+        )
+    assembly = Assembly(layout, problem.processes, problem.sensors, [epoch])
+    _, columns = layout.gather([layout.block(n) for n in names])
+    found: list[Hypothesis] = []
+    seen: Array | None = None
+    for start in starts:
+        x, cost, H = _improve(assembly, start, columns)
+        if seen is None or (found and cost < found[0].cost):
+            seen = H
+        if np.isfinite(cost) and not any(_same(layout, h.x, x, names) for h in found):
+            found.append(Hypothesis(x, cost))
+            found.sort(key=lambda h: h.cost)
+    if seen is not None:
+        _check_seen(problem, epoch, seen, names)
+    if not found:
+        raise EstimationError(
+            f"initialise: no pose at the first epoch, t = {epoch.t} s, can be, of"
+            f" {len(starts)} tried for {', '.join(names)}"
+        )
+    # What noise cannot explain is no hypothesis.
+    limit = found[0].cost + 25.0 + 0.5 * len(assembly.tables.observations)
+    return [h for h in found if h.cost <= limit]
+
+
+def _extended(problem: Problem, hypothesis: Hypothesis, frames: int) -> Hypothesis:
+    """The hypothesis over more frames: its first state, and half the squared residuals."""
+    prior = Prior(hypothesis.x, problem.prior.P)
+    short = replace(problem, prior=prior, epochs=problem.epochs[:frames])
+    done = filter_pass(short, ITERATIONS)
+    if done.stopped:
+        return Hypothesis(hypothesis.x, np.inf)
+    begin = smooth(done, covariances=False)[0]
+    try:
+        solution = solve_gated(done.assembly, short, begin, done.weights)
+    except UNSOLVED:
+        return Hypothesis(hypothesis.x, np.inf)
+    return Hypothesis(solution.x[0], solution.cost)
+
+
+def initialise(problem: Problem, names: Sequence[str], frames: int = 6) -> Prior:
+    """The problem's prior with the mean of the blocks `names` taken from the first frames.
+
+    The covariance is as it was: it is to be wide beside what the frames say, which are used
+    again as measurements. Several hypotheses are told apart over `frames` epochs; where they
+    cannot be, the best is taken, and that is said. Raises EstimationError as `hypotheses`
+    does.
+    """
+    found = hypotheses(problem, names)
+    if len(found) > 1:
+        after = [(_extended(problem, h, frames).cost, h) for h in found]
+        after.sort(key=lambda pair: pair[0])
+        found = [h for _, h in after]
+        gap = after[1][0] - after[0][0]
+        if not gap > DECISIVE:
+            _LOG.warning(
+                "initialise: %d hypotheses for %s fit the first %d epochs about as well (half the"
+                " squared residuals: %s)",
+                *(len(found), ", ".join(names), frames, [round(c, 1) for c, _ in after]),
+            )
+    return Prior(found[0].x, problem.prior.P)
