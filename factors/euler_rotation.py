@@ -148,6 +148,13 @@ class EulerRotation(DynamicsModel):
     def advances(self) -> tuple[Block, ...]:
         return TARGET_ATTITUDE, TARGET_RATE, INERTIA
 
+    def caution(self, length: float, *x: Array) -> str:
+        """Half a turn or more between epochs looks like the rest of a turn backwards."""
+        turn = float(np.linalg.norm(x[1])) * length
+        if turn < 0.98 * np.pi:
+            return ""
+        return f"the target turns {np.degrees(turn):.0f} deg in {length:g} s: aliased from 180 deg"
+
     def constants(self) -> Array:
         own = [self.torque_density, self.inertia_density, self.max_step]
         return np.concatenate([orbit_array(self.orbit), own])

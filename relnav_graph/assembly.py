@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from relnav_graph import loops
 from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
-from relnav_graph.models import Dynamics, Measurement, Sensor
+from relnav_graph.models import Dynamics, Sensor
+from relnav_graph.noise import inverse_cholesky, measurement_noise, raised, with_constraints
 from relnav_graph.problem import Epoch, Problem, check_epoch
 from relnav_graph.state import Layout
 
@@ -87,35 +88,6 @@ def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Arr
     arrays = [np.ascontiguousarray(a) for a in (x_next, x1, F, whiten)]
     loops.interval_rows(*arrays, layout.kinds, out.e, out.A, out.B)
     return out
-
-
-def inverse_cholesky(where: str, covariances: Array) -> Array:
-    """Whitening matrices (..., n, n) of covariances. Raises InputError unless positive
-    definite."""
-    scale = np.sqrt(np.einsum("...ii->...i", covariances))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scaled = covariances / (scale[..., :, None] * scale[..., None, :])
-    try:
-        if not np.isfinite(scaled).all():
-            raise np.linalg.LinAlgError
-        factor = np.linalg.cholesky(scaled)
-    except np.linalg.LinAlgError as error:
-        variances = np.einsum("...ii->...i", covariances)
-        raise InputError(
-            f"{where}: the noise covariance is not positive definite (variances"
-            f" {variances.min():.3g} to {variances.max():.3g}); expected densities and sigmas > 0"
-        ) from error
-    return np.ascontiguousarray(np.linalg.inv(factor) / scale[..., None, :])
-
-
-def _noise(name: str, sensor: Sensor, m: Measurement) -> Array:
-    noise = np.asarray(sensor.noise(m))
-    expected = (len(m.z), sensor.rows, sensor.rows)
-    if noise.shape != expected:
-        raise ModelError(
-            f"sensor {name!r} at t = {m.t} s: noise gives {noise.shape}, expected {expected}"
-        )
-    return noise
 
 
 class Assembly:
@@ -214,9 +186,10 @@ class Assembly:
                 z = sensor.accept(np.concatenate([m.z for m in ms]))
             except InputError as error:
                 raise InputError(f"sensor {name!r}: {error}") from error
-            noise = np.concatenate([_noise(name, sensor, m) for m in ms])
+            noise = np.concatenate([measurement_noise(name, sensor, m) for m in ms])
             data = sensor.observation_data(self.ids[own]), z
-            whiten = inverse_cholesky(f"sensor {name!r}", noise)
+            where = f"sensor {name!r}"
+            whiten = inverse_cholesky(where, raised(where, noise, z))
             for column, values in zip((loops.Q_DATA, loops.Z_DATA), data, strict=True):
                 begin, end = numbers.add(values)
                 width = (end - begin) // len(own)
@@ -367,6 +340,9 @@ class Assembly:
     def whitening(self, Q: Array) -> Array:
         """Whitening matrices (M, n, n) of the process noise. Raises InputError."""
         whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
+        for name, process in self._processes.items():
+            _, own = self.layout.gather(process.advances)
+            Q = with_constraints(f"process {name!r}", Q, own)
         loops.whitening(self.tables.processes, self.tables.places, Q, whiten, failure)
         if failure[2]:
             name = list(self._processes)[failure[1]]

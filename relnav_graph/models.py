@@ -153,6 +153,9 @@ class Dynamics(Protocol):
     def transition(self, t: float, u: Array, *x: Array) -> tuple[tuple[Array, ...], Array, Array]:
         """The advanced blocks, F (to all blocks, advanced first) and Q."""
 
+    def caution(self, length: float, *x: Array) -> str:
+        """What cannot be told apart over an interval of `length` s at this state, or ""."""
+
 
 @runtime_checkable
 class Derived(Protocol):
@@ -313,6 +316,10 @@ class DynamicsModel:
     def failure(self, status: int) -> str:
         """What a non-zero status of the kernel means."""
         return self.failures.get(status, f"status {status}")
+
+    def caution(self, length: float, *x: Array) -> str:
+        """Nothing to be cautious of, unless a model says so."""
+        return ""
 
     def transition(self, t: float, u: Array, *x: Array) -> tuple[tuple[Array, ...], Array, Array]:
         """The advanced blocks at the end of the interval, F and Q.

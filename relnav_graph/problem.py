@@ -150,10 +150,10 @@ class Problem:
     """Models, prior and data of one pass.
 
     processes, sensors: models by name; gates: probability of the chi-square gate by
-    sensor, where one is asked for; losses: robust ones, likewise; window: of a fixed-lag smoother and for late data
-    online, s, None for a number of epochs. Without epochs it is one to be driven online:
-    they come later. Raises ModelError when a block is advanced by no
-    process or by two, InputError when times do not increase or a sensor is unknown.
+    sensor, where one is asked for; losses: robust ones, likewise; window: of a
+    fixed-lag smoother and for late data online, s, None for a number of epochs. Without
+    epochs it is one to be driven online: they come later. Raises ModelError when a block is
+    advanced by no process or by two, InputError when times do not increase or a sensor is unknown.
     """
 
     processes: Mapping[str, Dynamics]

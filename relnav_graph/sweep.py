@@ -18,11 +18,12 @@ from numba import types
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.assembly import Assembly, inverse_cholesky
+from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import INDICES, MATRIX, STACK, VECTOR, jit_as
 from relnav_graph.errors import EstimationError
 from relnav_graph.loops import INDEX_MATRIX, TABLES, interval_row, observe, propagate
 from relnav_graph.matrices import householder, inverse_upper, sandwich
+from relnav_graph.noise import inverse_cholesky
 from relnav_graph.problem import Prior
 from relnav_graph.state import Layout
 
@@ -269,5 +270,9 @@ def linearize(
         raise EstimationError("the factor graph's linear system is not finite")
     if not diagonals.all():
         k = int(np.nonzero(~diagonals.all(axis=1))[0][0])
-        raise EstimationError(f"the factor graph does not determine epoch {k}")
+        layout = assembly.layout
+        bad = [b.name for b in layout if not diagonals[k, layout.tangent(b.name)].all()]
+        raise EstimationError(
+            f"the factor graph does not determine {', '.join(bad)} at t = {assembly.times[k]} s"
+        )
     return System(x, float(cost[0]), status, Conditionals(R, S, d))

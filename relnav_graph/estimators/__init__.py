@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -39,4 +40,18 @@ def run_estimator(kind: str, problem: Problem) -> Track:
     estimator: Estimator = find_class(GROUP, kind)()
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
-        return estimator.run(problem)
+        track = estimator.run(problem)
+    return track if track.status != "ok" else _cautious(track, problem)
+
+
+def _cautious(track: Track, problem: Problem) -> Track:
+    """The track, degraded where a process says that its state cannot be told from another."""
+    from relnav_graph.estimators.health import caution
+
+    for epoch, x in zip(problem.epochs, track.x, strict=True):
+        doubt = caution(problem, epoch, x)
+        if doubt:
+            message = f"t = {epoch.t} s: {doubt}"
+            ahead = track.smoothed and replace(track.smoothed, status="degraded", message=message)
+            return replace(track, status="degraded", message=message, smoothed=ahead)
+    return track

@@ -157,6 +157,7 @@ def solve_gated(
     solution = solve(assembly, prior, x, weights, tolerance=tolerance)
     if not (problem.gates or problem.losses) and (solution.status == 0).all():
         return solution
+    stages: list[tuple[Mapping[str, float], Mapping[str, Loss]]]
     stages = [(problem.gates, problem.losses)]
     doubtful = {name for name, loss in problem.losses.items() if loss.redescends}
     if (solution.weights == 0).any():
@@ -165,9 +166,9 @@ def solve_gated(
         kept = {name: gate for name, gate in problem.gates.items() if name not in doubtful}
         convex = {**problem.losses, **dict.fromkeys(doubtful, Loss("huber"))}
         stages.insert(0, (kept, convex))
-    for gates, losses in stages:
-        solution = _reweighted(assembly, prior, solution, gates, losses, tolerance)
-    return solution
+    if doubtful:  # only a place to start from
+        solution = _reweighted(assembly, prior, solution, *stages.pop(0), 0.1, 0.05)
+    return _reweighted(assembly, prior, solution, *stages[0], tolerance, WEIGHT_TOLERANCE)
 
 
 def _reweighted(
@@ -177,16 +178,22 @@ def _reweighted(
     gates: Mapping[str, float],
     losses: Mapping[str, Loss],
     tolerance: float,
+    settled: float,
 ) -> Solution:
-    """The solution with weights that its own residuals give."""
-    everything = np.ones(assembly.observations)
-    for _ in range(ROUNDS if losses else 10):
+    """The solution with weights that its own residuals give, within `settled`."""
+    everything, rounds = np.ones(assembly.observations), ROUNDS if losses else 10
+    for _ in range(rounds):
         rows = assembly.measure(solution.x, everything)
         weights = residual_weights(assembly, rows, gates, losses)
-        if np.abs(weights - solution.weights).max(initial=0.0) <= WEIGHT_TOLERANCE:
+        if np.abs(weights - solution.weights).max(initial=0.0) <= settled:
             break
-        solution = solve(assembly, prior, solution.x, weights, tolerance=tolerance)
-    return solution
+        # While the weights still change, two steps at a time are enough.
+        solution = solve(
+            *(assembly, prior, solution.x, weights), tolerance=tolerance, max_iterations=2
+        )
+    if solution.distance < tolerance:
+        return solution
+    return solve(assembly, prior, solution.x, solution.weights, tolerance=tolerance)
 
 
 @dataclass(frozen=True)

@@ -205,8 +205,9 @@ TRUSTED = 30.0
 def judge(
     away: Mapping[str, float], problem: Problem, misfit: float, rows: int
 ) -> tuple[Status, str]:
-    """Degraded when a sensor lost more than half of its observations (see
-    `relnav_graph.estimators.gating.lost`), when there was none to use, or when the squared residuals, `misfit` over `rows` rows, are far too large."""
+    """Degraded when a sensor lost more than half of its observations (`away`, see
+    `relnav_graph.estimators.gating.lost`), when there was none to use, or when the squared
+    residuals, `misfit` over `rows` rows, are far too large."""
     seen = dict.fromkeys(problem.sensors, 0)
     for epoch in problem.epochs:
         for m in epoch.measurements:

@@ -18,8 +18,9 @@ from scipy.special import chdtri
 
 from relnav_graph.estimators.ekf import TRUSTED, FilterPass
 from relnav_graph.models import Sensor
+from relnav_graph.problem import Epoch, Problem
 
-__all__ = ["Health", "Monitor"]
+__all__ = ["Health", "Monitor", "caution"]
 
 Array = NDArray[np.float64]
 Health = Literal["OK", "DEGRADED", "LOST"]
@@ -105,6 +106,19 @@ class Monitor:
         if gone.all():
             return "LOST", message
         return ("DEGRADED" if alarms else "OK"), message
+
+
+def caution(problem: Problem, epoch: Epoch, x: Array) -> str:
+    """What the processes say of the interval that leads to an epoch with the estimate x
+    (size,): the rate is aliased, say; or ""."""
+    found = []
+    for name, process in problem.processes.items():
+        if name in epoch.inputs:
+            length = float(epoch.inputs[name][:, 0].sum())
+            blocks = process.advances + process.reads
+            text = process.caution(length, *(problem.layout.value(x, b.name) for b in blocks))
+            found += [f"{name}: {text}"] if text else []
+    return "; ".join(found)
 
 
 def _seen_at(row: Array, t: float) -> None:

@@ -30,6 +30,7 @@ from relnav_graph.estimators.health import (
     USED,
     Health,
     Monitor,
+    caution,
 )
 from relnav_graph.estimators.packing import Repeats, held, merged, pack, unpack, without_repeats
 from relnav_graph.models import Measurement
@@ -385,6 +386,10 @@ class Online:
         if t is None:
             raise InputError("no epoch was taken in yet")
         status, message = state.monitor.health(t)
+        doubt = caution(self.problem, state.moments[-1].epoch, state.engine.x)
+        if doubt:
+            status = "DEGRADED" if status == "OK" else status
+            message = "; ".join(filter(None, [message, doubt]))
         estimate = Estimate(t, state.engine.x, state.engine.P, status, message, refused)
         self._state = state  # the one assignment that makes it so
         for sensor, _, ids in repeats:
