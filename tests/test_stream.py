@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from passes import ZHANG, relnav
 from streams import RELNAV, changed, feed, lines_of, reasons, session_of, toy, write_scenario
 
+from relnav_graph.deviation import estimates
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.columns import component_columns, to_components
 from relnav_graph.io.lines import LineError, header_of, parse_line, prior_values
+from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.streaming.session import Options
 
@@ -51,13 +53,15 @@ def _assert_equal_to_track(out: list[dict[str, Any]], scenario: Scenario, kind: 
     seed = scenario.file.seed
     track = run_estimator(kind, scenario.problem(scenario.simulate(seed), seed))
     assert [line["t"] for line in out] == track.t.tolist()
-    for block in scenario.layout:
-        values = np.array([line["estimate"][block.name]["value"] for line in out])
-        sigma = np.array([line["estimate"][block.name]["sigma"] for line in out])
-        assert values.shape[1] == len(component_columns(block))
-        expected = np.sqrt(np.diagonal(track.covariance(block.name), axis1=1, axis2=2))
+    found = estimates(track, derived_quantities(scenario.layout))
+    assert found.keys() == out[0]["estimate"].keys()
+    for name, state in found.items():
+        values = np.array([line["estimate"][name]["value"] for line in out])
+        sigma = np.array([line["estimate"][name]["sigma"] for line in out])
+        assert values.shape[1] == len(component_columns(state.block))
+        expected = np.sqrt(np.diagonal(state.P, axis1=1, axis2=2))
         np.testing.assert_allclose(sigma, expected, rtol=1e-6)
-        error = values - to_components(block, track.value(block.name))
+        error = values - to_components(state.block, state.value)
         assert np.abs(error).max() < 1e-6 * expected.max()
 
 

@@ -319,10 +319,12 @@ def estimate_object(
         value = _components(block, values[block.name])
         found[block.name] = {"value": value, "sigma": _sigmas(P[rows, rows])}
     for quantity in derived:
-        value, J = quantity.value(*(values[b.name] for b in quantity.reads))
-        _, rows = layout.gather(quantity.reads)
-        sigma = _sigmas(J @ P[np.ix_(rows, rows)] @ J.T)
-        found[quantity.block.name] = {"value": _components(quantity.block, value), "sigma": sigma}
+        derived_value, J = quantity.value(*(values[b.name] for b in quantity.reads))
+        _, tangent = layout.gather(quantity.reads)
+        found[quantity.block.name] = {
+            "value": _components(quantity.block, derived_value),
+            "sigma": _sigmas(J @ P[np.ix_(tangent, tangent)] @ J.T),
+        }
     return found
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 from passes import relnav
-from streams import RELNAV, SCENARIO, changed, lines_of, write_scenario
+from streams import RELNAV, SCENARIO, changed, feed, lines_of, session_of, write_scenario
 
 from relnav_graph.scenario import load_scenario
 
@@ -99,7 +99,7 @@ def test_row_23_ended_by_a_signal_and_resumed(
 ) -> None:
     """They end it between two lines, with the exit code of the signal."""
     arguments = _arguments(folder, number.name)
-    codes = _run(number, 5, arguments)
+    codes = _run(number, 3, arguments)
     # One that came while the command was being started may have found nobody to mind it.
     assert set(codes[:-1]) <= {128 + number, -number}
     assert 128 + number in codes
@@ -145,9 +145,7 @@ def test_row_23_a_signal_ends_a_stream_that_waits(
     assert "lines came again and were skipped" in err
     both = [json.loads(line) for line in (first.read_text() + told).splitlines()]
     assert [line["seq"] for line in both] == list(range(len(both)))
-    with _process(*RELNAV, "stream", folder / "toy.toml", stdin=subprocess.PIPE) as process:
-        told, err = process.communicate("\n".join(lines) + "\n", timeout=120)
-    whole = [json.loads(line) for line in told.splitlines()]
+    whole = feed(session_of(load_scenario(folder / "toy.toml"), lines[0]), lines)
     assert [line["estimate"] for line in both] == [line["estimate"] for line in whole]
 
 

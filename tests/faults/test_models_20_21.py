@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from toy_model import PositionFix, ThermalDrift
 
 from relnav_graph.compiled import jit
 from relnav_graph.errors import ModelError
-from relnav_graph.estimators.online import Online, online
+from relnav_graph.estimators.online import Estimate, Online, online
 from relnav_graph.io.lines import Header
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Epoch, Problem
@@ -89,10 +90,11 @@ def test_row_20_an_error_of_a_model_is_chained_and_undone(
     for t in range(4):
         for estimator in (driven, spared):
             estimator.step(_epoch(float(t)))
-    for attempt in (
+    attempts: list[Callable[[], Estimate]] = [
         lambda: driven.step(_epoch(4.0, 2 * FAR)),
         lambda: driven.insert(_epoch(2.5, 2 * FAR).measurements),
-    ):
+    ]
+    for attempt in attempts:
         with pytest.raises(ModelError, match=f"fix.*: a model raised .*{says}") as caught:
             attempt()
         assert isinstance(caught.value.__cause__, cause)
