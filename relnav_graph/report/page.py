@@ -121,7 +121,7 @@ def _over_runs(study: StudyContents, gallery: Gallery) -> dict[str, list[Shown]]
         (
             "Coverage",
             "Part of the error components that lie within 1, 2 and 3 of the estimated sigmas."
-            " Black line: a normal error. To the left of it the estimate is optimistic.",
+            " Upright line: a normal error. To the left of it the estimate is optimistic.",
             figures.coverage(),
         ),
     ]
@@ -167,8 +167,8 @@ def _scene_caption(scene: Scene) -> str:
     target = f"The target ({turns if scene.turning else 'fixed in this frame'})"
     errors = (
         f"Estimates of {' and '.join(scene.rows)} are shown as the true path plus their errors,"
-        f" {times(scene.error_scale)}, with their 3-sigma ellipsoids likewise: where the black"
-        " path runs through an ellipsoid, the true error is within 3 sigma."
+        f" {times(scene.error_scale)}, with their 3-sigma ellipsoids likewise: where the true"
+        " path runs through an ellipsoid, the error is within 3 sigma."
         if scene.true
         else f"The 3-sigma ellipsoids of {' and '.join(scene.rows)} are {times(scene.error_scale)}."
     )

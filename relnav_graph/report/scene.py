@@ -147,6 +147,14 @@ def _view(path: Array, size: float) -> tuple[Array, float]:
     return (low + high) / 2, 0.58 * float((high - low).max())
 
 
+def _eye(path: Array) -> Array:
+    """Where to look from, in half edges: slantwise onto the plane of the path, from above."""
+    along, _, normal = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2]
+    normal = normal if normal[2] >= 0 else -normal
+    eye = normal + 0.6 * (along if along[2] >= 0 else -along)
+    return np.asarray(1.75 * eye / np.linalg.norm(eye))
+
+
 def make_scene(content: PassContents) -> Scene | None:
     """The scene of a pass; None where no row gives the relative position."""
     rows = _rows(content)
@@ -173,7 +181,7 @@ def make_scene(content: PassContents) -> Scene | None:
     t = content.tracks[0].t
     data, frames = _moving(t, path, *moving)
     data += _paths(content, rows, path, true is not None, error_scale, np.unique(k))
-    figure = {"data": data, "layout": _layout(t, block.frame[-1], centre, half, frames)}
+    figure = {"data": data, "layout": _layout(t, block.frame[-1], centre, half, _eye(path), frames)}
     return Scene(
         figure | {"frames": frames},
         block.frame[-1],
@@ -203,14 +211,14 @@ def _moving(
          "marker": {"size": 5, "color": "black", "symbol": "square"}},
     ]  # fmt: skip
     moments = np.unique(np.linspace(0, len(path) - 1, _FRAMES).round().astype(int))
-    kinds, frames = [look["type"] for look in looks], []
+    kinds, frames = [look["type"] for look in looks], list[dict[str, Any]]()
     for m in moments.tolist():
         parts = [*_target(R[m], box, points, reach), _xyz(path[m : m + 1])]
         data = [{"type": kind, **part} for kind, part in zip(kinds, parts, strict=True)]
         name = f"{t[m]:.6g}"
         frames.append({"name": name, "data": data, "traces": list(range(len(data)))})
     first = frames[0]["data"]
-    return [{**look, **part} for look, part in zip(looks, first, strict=True)], frames
+    return [look | part for look, part in zip(looks, first, strict=True)], frames
 
 
 def _paths(
@@ -240,7 +248,12 @@ def _paths(
 
 
 def _layout(
-    t: Array, frame: str, centre: Array, half: float, frames: Sequence[Mapping[str, Any]]
+    t: Array,
+    frame: str,
+    centre: Array,
+    half: float,
+    eye: Array,
+    frames: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     axes = {
         f"{a}axis": {
@@ -276,7 +289,7 @@ def _layout(
             **axes,
             "aspectmode": "cube",
             "dragmode": "orbit",
-            "camera": {"eye": {"x": 1.1, "y": 1.0, "z": 0.75}, "center": {"z": -0.08}},
+            "camera": {"eye": dict(zip("xyz", eye.tolist(), strict=True))},
         },
         "legend": {"orientation": "h", "x": 0, "y": 1.01, "yanchor": "bottom"},
         "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#9a9a9a", "activecolor": "#444"},

@@ -213,12 +213,12 @@ def mcreynolds(summary: Mapping[str, Any]) -> Table | None:
     """Filter against smoother: their difference in units of what it should be."""
     body = []
     for pair in summary["mcreynolds"]:
+        if pair["states"]:
+            body.append([Cell(f"{pair['filtered']} against {pair['smoothed']}", "strong")])
         for state, one in pair["states"].items():
-            names = _cells([pair["filtered"], pair["smoothed"], Cell(plain(state), "strong")])
             square, inside = number(one["mean_square"], 3), _percent(one["inside_3sigma"])
-            body.append([*names, *_cells([square, inside])])
-    head = ["filtered", "smoothed", "state", "mean square ratio", "within 3"]
-    return Table(head, body, 3) if body else None
+            body.append(_cells([plain(state), square, inside]))
+    return Table(["state", "mean square ratio", "within 3"], body) if body else None
 
 
 def bad_runs(runs: Sequence[Mapping[str, Any]]) -> Table:

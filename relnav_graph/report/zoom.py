@@ -124,12 +124,13 @@ def _shapes(ax: Axes, x: str, y: str) -> list[dict[str, Any]]:
     return out
 
 
-def _axis(ax: Axes, which: str) -> dict[str, Any]:
+def _axis(ax: Axes, which: str, highest: float) -> dict[str, Any]:
+    """An axis; `highest` is the top of all panels, above which stands the legend."""
     axis, box = getattr(ax, f"{which}axis"), ax.get_position()
     log = axis.get_scale() == "log"
     limits = ax.get_xlim() if which == "x" else ax.get_ylim()
     ends = [float(np.log10(v)) if log else float(v) for v in limits]
-    domain = [box.x0, box.x1] if which == "x" else [box.y0, box.y1]
+    domain = [box.x0, box.x1] if which == "x" else [box.y0 / highest, box.y1 / highest]
     out: dict[str, Any] = {
         "domain": [min(max(float(v), 0.0), 1.0) for v in domain],
         "range": ends,
@@ -196,6 +197,7 @@ def zoomable(figure: Figure) -> dict[str, Any]:
     data, annotations, shapes = _legend(figure), list[Any](), list[Any]()
     layout: dict[str, Any] = {}
     seen: list[Axes] = []
+    highest = max(ax.get_position().y1 for ax in figure.axes)
     for k, ax in enumerate(figure.axes):
         number = "" if k == 0 else str(k + 1)
         x, y = f"x{number}", f"y{number}"
@@ -203,7 +205,8 @@ def zoomable(figure: Figure) -> dict[str, Any]:
         data += _fills(ax, on) + _lines(ax, on)
         shapes += _shapes(ax, x, y)
         annotations += _notes(ax, x, y)
-        axes = {"x": _axis(ax, "x") | {"anchor": y}, "y": _axis(ax, "y") | {"anchor": x}}
+        axes = {"x": _axis(ax, "x", highest) | {"anchor": y}}
+        axes["y"] = _axis(ax, "y", highest) | {"anchor": x}
         for which, shared in (("x", ax.get_shared_x_axes()), ("y", ax.get_shared_y_axes())):
             first = next((m for m, other in enumerate(seen) if shared.joined(ax, other)), None)
             if first is not None:
@@ -219,9 +222,8 @@ def zoomable(figure: Figure) -> dict[str, Any]:
     if figure.get_supylabel():
         at = {"x": 0, "y": 0.5, "textangle": -90, "xanchor": "left", "yanchor": "middle"}
         annotations.append({"text": _html(figure.get_supylabel()), **at, **common})
-    lines = _legend_lines(figure)
-    top = _BUTTONS + 24 + 20 * (lines - 1)
-    height = round(_PIXELS * figure.get_figheight()) + top
+    top = _BUTTONS + 20 * _legend_lines(figure) + (22 if annotations else 4)
+    height = round(_PIXELS * figure.get_figheight() * highest) + top
     layout |= {
         "height": height,
         "margin": {"l": 0, "r": 8, "t": top, "b": 4},
@@ -249,4 +251,4 @@ def _legend_lines(figure: Figure) -> int:
     """In how many lines the legend stands above panels as wide as the page's column."""
     texts = [text.get_text() for box in figure.legends for text in box.get_texts()]
     width = sum(50 + 6.5 * len(text) for text in texts)
-    return max(1, -(-int(width) // 850))
+    return -(-int(width) // 850)
