@@ -85,8 +85,8 @@ def test_isam2_stays_with_batch_beyond_its_tree() -> None:
     smoother = IncrementalSmoother(problem, 1e9)  # the history is never taken up again
     for epoch in problem.epochs:
         smoother.step(epoch)
-    assert len(smoother._settled) > 2
-    assert len(smoother._references) <= WINDOW
+    assert len(smoother.state.settled) > 2
+    assert len(smoother.state.references) <= WINDOW
     batch = run_estimator("batch", problem)
     layout, sigma = problem.layout, sigmas(batch.P)
     assert np.abs(layout.local(batch.x[-1], smoother.x) / sigma[-1]).max() < 0.1

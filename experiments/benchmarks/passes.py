@@ -88,7 +88,7 @@ def lazy_pass(epochs: int, chunk: int = 1000) -> tuple[Problem, Iterator[Epoch]]
             seen = [
                 m
                 for name, sensor in scenario.sensors.items()
-                for m in measure(name, sensor, Timing(), part, rng)
+                for m in measure(name, sensor, Timing(), part, rng, rng)
             ]
             made = make_epochs(scenario.processes, seen, recording.inputs, times)
             yield from made[1:] if begin else made
