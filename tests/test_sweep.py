@@ -102,12 +102,12 @@ def test_a_failed_step_leaves_isam2_where_it_was() -> None:
     smoother = IncrementalSmoother(problem, 1e9)
     for epoch in problem.epochs[:12]:
         smoother.step(epoch)
-    x, tree = smoother.x.copy(), smoother._tree
+    x, state = smoother.x.copy(), smoother.state
     wrong = replace(problem.epochs[12], t=99.0)
     with pytest.raises(ValueError, match="in the epoch at 99"):
         smoother.step(wrong)
     np.testing.assert_array_equal(smoother.x, x)
-    assert smoother._tree is not tree
+    assert smoother.state is state
     for epoch in problem.epochs[12:]:
         smoother.step(epoch)
     batch = run_estimator("batch", problem)
