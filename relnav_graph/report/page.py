@@ -173,8 +173,8 @@ def _scene_caption(scene: Scene) -> str:
         else f"The 3-sigma ellipsoids of {' and '.join(scene.rows)} are {times(scene.error_scale)}."
     )
     return (
-        f"Frame {scene.frame}, the target at the origin. {target} is {times(scene.target_scale)};"
-        f" red, green and blue are its axes x, y, z. The square is the chaser. {errors} Ellipsoids"
+        f"Frame {scene.frame}. {target} is {times(scene.target_scale)};"
+        f" red, green and blue are its axes x, y, z, from the origin. The square is the chaser. {errors} Ellipsoids"
         " of the first tenth of the pass are left out. Drag to turn, scroll to zoom; the slider"
         " moves time."
     )

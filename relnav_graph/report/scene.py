@@ -141,9 +141,10 @@ def _ellipsoids(centres: Array, P: Array, scale: float) -> dict[str, Any]:
     return {**_xyz(vertices.reshape(-1, 3)), **ijk}
 
 
-def _view(path: Array, size: float) -> tuple[Array, float]:
-    """Centre and half edge of the cube that holds the path and the target."""
-    low, high = np.minimum(path.min(axis=0), -size), np.maximum(path.max(axis=0), size)
+def _view(path: Array, target: Array) -> tuple[Array, float]:
+    """Centre and half edge of the cube that holds the path and points of the target."""
+    held = np.vstack([path, target])
+    low, high = held.min(axis=0), held.max(axis=0)
     return (low + high) / 2, 0.58 * float((high - low).max())
 
 
@@ -167,13 +168,13 @@ def make_scene(content: PassContents) -> Scene | None:
     R = _attitude(content, last) if block == RELATIVE_POSITION else None
     points = _points(content)
     box = _box(points)
-    size = float(np.abs(box).max())
     if block == RELATIVE_POSITION_T or R is None:
         R = np.broadcast_to(np.eye(3), (len(path), 3, 3))
     turning = bool(np.ptp(R, axis=0).max() > 0)
-    half = _view(path, 0.0)[1]
-    target_scale = _nice(_TARGET_PART * half / size)
-    centre, half = _view(path, size * target_scale)
+    corners = np.einsum("kij,mj->kmi", R, box).reshape(-1, 3)
+    half = _view(path, np.zeros((1, 3)))[1]
+    target_scale = _nice(_TARGET_PART * half / (np.ptp(box, axis=0).max() / 2))
+    centre, half = _view(path, target_scale * corners)
     k = np.linspace(_TRANSIENT * (len(path) - 1), len(path) - 1, _ELLIPSOIDS).round().astype(int)
     widest = max(3 * np.sqrt(np.linalg.eigvalsh(s.P[k]).max()) for s in rows.values())
     error_scale = _nice(_ELLIPSOID_PART * 2 * half / widest) if widest > 0 else 1.0
@@ -197,7 +198,7 @@ def _moving(
     t: Array, path: Array, R: Array, box: Array, points: Array | None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Traces of what moves, at the first epoch, and their coordinates over time."""
-    reach = 1.6 * float(np.abs(box).max())
+    reach = 0.8 * float(np.ptp(box, axis=0).max())
     ijk = dict(zip("ijk", np.ascontiguousarray(_FACES.T), strict=True))
     quiet: dict[str, Any] = {"hoverinfo": "skip", "showlegend": False}
     grey: dict[str, Any] = {"color": "#8a8f98", "opacity": 0.55, "flatshading": True}
