@@ -136,7 +136,9 @@ class BeaconLineOfSight(PointSensor):
         middle = z.mean(axis=0)
         spread = np.sqrt(((z - middle) ** 2).sum(axis=1).mean())
         size = np.sqrt(((self.points[ids] - self.points[ids].mean(axis=0)) ** 2).sum(axis=1).mean())
-        distance = np.sqrt(2 / 3) * size / max(spread, 1e-9)  # seen from a side, on average
+        distance = 10 * float(np.abs(self.points).max())  # of one beacon: no more than a guess
+        if spread > 0:
+            distance = np.sqrt(2 / 3) * size / spread  # seen from a side, on average
         return np.asarray(distance * middle / np.linalg.norm(middle))
 
     def noise(self, m: Measurement) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.ekf import ITERATIONS, filter_pass, judge
+from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass, judge
 from relnav_graph.estimators.gating import (
     count_downweighted,
     count_rejected,
     lost,
     residual_weights,
+    thresholds,
 )
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Prior, Problem
@@ -149,26 +150,41 @@ def solve_gated(
 ) -> Solution:
     """`solve`, then weigh the observations anew (gates and robust losses), until that stays.
 
-    Where something was rejected, or a loss redescends and so has many minima, the way there
-    is by Huber's loss, which has one: what to leave out is decided at a robust estimate.
-    anchor: instead of the problem's prior.
+    Where something was rejected, or a loss redescends, there are many minima; one way there
+    is by Huber's loss, which has one minimum, so that what to leave out is decided at a robust
+    estimate. With gates alone the direct way is gone too, and the better end taken. anchor: instead of the problem's prior.
     """
     prior = problem.prior if anchor is None else anchor
     solution = solve(assembly, prior, x, weights, tolerance=tolerance)
     if not (problem.gates or problem.losses) and (solution.status == 0).all():
         return solution
-    stages: list[tuple[Mapping[str, float], Mapping[str, Loss]]]
-    stages = [(problem.gates, problem.losses)]
-    doubtful = {name for name, loss in problem.losses.items() if loss.redescends}
+    losses = problem.losses
+    doubtful = {name for name, loss in losses.items() if loss.redescends}
+    straight = None
+    if not doubtful:  # a gate alone: as good a way is the one without a detour
+        straight = _reweighted(
+            *(assembly, prior, solution, problem.gates, losses), tolerance, WEIGHT_TOLERANCE
+        )
     if (solution.weights == 0).any():
         doubtful |= set(problem.gates)
-    if doubtful:
-        kept = {name: gate for name, gate in problem.gates.items() if name not in doubtful}
-        convex = {**problem.losses, **dict.fromkeys(doubtful, Loss("huber"))}
-        stages.insert(0, (kept, convex))
-    if doubtful:  # only a place to start from
-        solution = _reweighted(assembly, prior, solution, *stages.pop(0), 0.1, 0.05)
-    return _reweighted(assembly, prior, solution, *stages[0], tolerance, WEIGHT_TOLERANCE)
+    if straight is not None and not doubtful:
+        return straight
+    kept = {name: gate for name, gate in problem.gates.items() if name not in doubtful}
+    convex = {**losses, **dict.fromkeys(doubtful, Loss("huber"))}
+    rough = _reweighted(assembly, prior, solution, kept, convex, 0.1, 0.05)
+    found = _reweighted(
+        *(assembly, prior, rough, problem.gates, losses), tolerance, WEIGHT_TOLERANCE
+    )
+    if straight is None:
+        return found
+    limits = thresholds(assembly, problem.gates)
+    return min(straight, found, key=lambda s: _truncated(s, limits))
+
+
+def _truncated(solution: Solution, limits: Array) -> float:
+    """The cost that a gate minimises: what is beyond it counts as much as at its edge."""
+    out = solution.weights == 0
+    return solution.cost + 0.5 * float(np.where(np.isfinite(limits), limits, 0.0)[out].sum())
 
 
 def _reweighted(
@@ -196,6 +212,17 @@ def _reweighted(
     return solve(assembly, prior, solution.x, solution.weights, tolerance=tolerance)
 
 
+def _filtered(problem: Problem) -> FilterPass:
+    """The filter's pass to start from. A gate that has closed on the wrong estimate leaves most
+    observations out for good: then the pass of a filter with a robust loss instead."""
+    done = filter_pass(problem, ITERATIONS)
+    if not problem.gates or done.verdict(problem)[0] == "ok":
+        return done
+    losses = {**problem.losses, **dict.fromkeys(problem.gates, Loss("huber"))}
+    robust = filter_pass(replace(problem, gates={}, losses=losses), ITERATIONS)
+    return done if robust.stopped else robust
+
+
 @dataclass(frozen=True)
 class Batch:
     """Maximum a posteriori estimate of the whole pass, all marginal covariances included.
@@ -209,7 +236,7 @@ class Batch:
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
         start = time.perf_counter()
-        done = filter_pass(problem, ITERATIONS)
+        done = _filtered(problem)
         x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         status: Status = "diverged"
         rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
