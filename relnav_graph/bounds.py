@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.assembly import Assembly, MeasurementRows, inverse_cholesky
+from relnav_graph.assembly import Assembly, MeasurementRows
 from relnav_graph.errors import InputError
+from relnav_graph.noise import inverse_cholesky
 from relnav_graph.problem import Problem
 from relnav_graph.sweep import Anchor, linearize
 from relnav_graph.track import Track, Truth

@@ -121,7 +121,7 @@ def noise_residuals(
     layout = problem.layout
     assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
     measured = assembly.measure(x, np.ones(assembly.observations))
-    weights = residual_weights(assembly, measured, problem.gates)
+    weights = residual_weights(assembly, measured, problem.gates, problem.losses)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
     anchor = anchor_of(problem.prior)
     system = linearize(assembly, anchor, x, whiten, weights)

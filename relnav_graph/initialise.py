@@ -49,7 +49,9 @@ def _same(layout: Layout, a: Array, b: Array, names: Sequence[str]) -> bool:
     """Whether two states are one minimum: attitudes within half a degree, vectors a percent."""
     d = layout.local(a, b)
     for name in names:
-        size = 1.0 if layout.block(name).manifold == "SO3" else np.linalg.norm(a[layout.stored(name)])
+        size = (
+            1.0 if layout.block(name).manifold == "SO3" else np.linalg.norm(a[layout.stored(name)])
+        )
         if np.linalg.norm(d[layout.tangent(name)]) > 0.01 * size:
             return False
     return True

@@ -40,7 +40,7 @@ def root_weight(kind: float, c: float, s2: float) -> float:
     """Square root of the weight of an observation of mean square s2; 1 without a loss."""
     q = s2 / (c * c)
     if kind == HUBER:
-        return 1.0 if q <= 1.0 else q ** (-0.25)
+        return 1.0 if q <= 1.0 else 1.0 / np.sqrt(np.sqrt(q))
     if kind == CAUCHY:
         return 1.0 / np.sqrt(1.0 + q)
     if kind == DCS:

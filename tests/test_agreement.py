@@ -16,6 +16,7 @@ from relnav_graph.track import Track
 
 Array = NDArray[np.float64]
 
+
 def _model(dt: float, q: float) -> tuple[Array, Array]:
     """Transition and noise of a velocity that walks at random, by Kronecker products."""
     F = np.asarray(np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3)), dtype=np.float64)

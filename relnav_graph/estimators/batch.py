@@ -152,7 +152,8 @@ def solve_gated(
 
     Where something was rejected, or a loss redescends, there are many minima; one way there
     is by Huber's loss, which has one minimum, so that what to leave out is decided at a robust
-    estimate. With gates alone the direct way is gone too, and the better end taken. anchor: instead of the problem's prior.
+    estimate. With gates alone the direct way is gone too, and the better end taken.
+    anchor: instead of the problem's prior.
     """
     prior = problem.prior if anchor is None else anchor
     solution = solve(assembly, prior, x, weights, tolerance=tolerance)

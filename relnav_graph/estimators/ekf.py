@@ -215,9 +215,7 @@ def judge(
     for name, count in away.items():
         if count > 0.5 * seen[name]:
             how = " or down-weighted" if name in problem.losses else ""
-            return "degraded", (
-                f"{count:.0f} of {seen[name]} observations of {name} rejected{how}"
-            )
+            return "degraded", (f"{count:.0f} of {seen[name]} observations of {name} rejected{how}")
     if not rows:
         return "degraded", "not one observation was used"
     if misfit > TRUSTED * rows:
@@ -266,9 +264,7 @@ class KalmanEngine:
     def load(self, arrays: Mapping[str, Array]) -> KalmanState:
         """The state again."""
         t = float(arrays["t"])
-        return KalmanState(
-            None if np.isnan(t) else t, np.array(arrays["x"]), np.array(arrays["P"])
-        )
+        return KalmanState(None if np.isnan(t) else t, np.array(arrays["x"]), np.array(arrays["P"]))
 
 
 def filter_pass(

@@ -126,8 +126,8 @@ def _seen_at(row: Array, t: float) -> None:
     if gap > 0:
         # A pause is no period: a long gap counts for three of those before.
         longest = gap if np.isnan(row[PERIOD]) else min(gap, 3 * row[PERIOD])
-        row[PERIOD] = longest if np.isnan(row[PERIOD]) else (
-            row[PERIOD] + WEIGHT * (longest - row[PERIOD])
+        row[PERIOD] = (
+            longest if np.isnan(row[PERIOD]) else (row[PERIOD] + WEIGHT * (longest - row[PERIOD]))
         )
     if not gap <= 0:
         row[LAST] = t

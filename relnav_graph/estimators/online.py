@@ -378,9 +378,7 @@ class Online:
             moments = moments[gone:]
         return _State(engine, monitor, moments, past), _refusals(epoch.t, engine.done)
 
-    def _swap(
-        self, state: _State, repeats: Repeats, found: tuple[Refusal, ...]
-    ) -> Estimate:
+    def _swap(self, state: _State, repeats: Repeats, found: tuple[Refusal, ...]) -> Estimate:
         refused = (*(Refusal(*r, "duplicate") for r in repeats), *found)
         t = state.engine.t
         if t is None:

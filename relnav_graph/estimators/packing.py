@@ -56,9 +56,7 @@ def merged(epochs: Sequence[Epoch], m: Measurement) -> list[Epoch]:
         out[k] = replace(out[k], measurements=(*out[k].measurements, m))
         return out
     length = {name: float(u[:, 0].sum()) for name, u in out[k].inputs.items()}
-    halves = {
-        name: split(u, length[name] - (out[k].t - m.t)) for name, u in out[k].inputs.items()
-    }
+    halves = {name: split(u, length[name] - (out[k].t - m.t)) for name, u in out[k].inputs.items()}
     out[k : k + 1] = [
         Epoch(m.t, (m,), {name: a for name, (a, _) in halves.items()}),
         replace(out[k], inputs={name: b for name, (_, b) in halves.items()}),

@@ -67,9 +67,7 @@ def assert_same(a: dict[str, Array], b: dict[str, Array]) -> None:
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
-def in_sigmas(
-    layout: Layout, one: Online | Estimate, reference: Online | Estimate
-) -> float:
+def in_sigmas(layout: Layout, one: Online | Estimate, reference: Online | Estimate) -> float:
     """Largest distance between two estimates, in sigmas of the second."""
     d = np.abs(layout.local(reference.x, one.x)) / np.sqrt(np.diag(reference.P))
     return float(d.max())

@@ -58,8 +58,8 @@ def test_row_24_a_step_that_fails_changes_nothing(
         patch.setattr(f"relnav_graph.estimators.{place}", _raise(error("struck")))
         with pytest.raises(error, match="struck"):
             one.step(problem.epochs[20])
+        late = problem.epochs[15].measurements[0]
         with pytest.raises(error, match="struck"):
-            late = problem.epochs[15].measurements[0]
             one.insert([replace(late, t=15.5)])
     assert_same(snapshot(one), before)
     for epoch in problem.epochs[20:]:
@@ -99,7 +99,9 @@ def test_row_24_the_reason_names_blocks_and_times() -> None:
     x = np.tile(problem.prior.x, (3, 1))
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
     nothing = Anchor(problem.prior.x, np.zeros((7, 7)), np.zeros(7))
-    with pytest.raises(EstimationError, match=rf"does not determine {RANGE_DRIFT.name} at t = 2.0 s"):
+    with pytest.raises(
+        EstimationError, match=rf"does not determine {RANGE_DRIFT.name} at t = 2.0 s"
+    ):
         linearize(assembly, nothing, x, whiten, np.ones(assembly.observations))
     assert EstimationError in UNSOLVED
 
@@ -257,7 +259,7 @@ def test_row_28_another_scale_is_the_same_problem(kind: str, scale: float) -> No
         "motion": WhiteNoiseAcceleration(acceleration_density=scale * 0.002),
         "electronics": replace(PROCESSES["electronics"], density=scale * 0.002),
     }
-    sensors = {
+    sensors: dict[str, Any] = {
         "fix": PositionFix(covariance=scale**2 * 0.01 * np.eye(3)),
         "ranger": DriftingRange(points=scale * 2 * np.eye(3), sigma=scale * 0.005),
     }

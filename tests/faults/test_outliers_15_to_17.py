@@ -117,14 +117,14 @@ def test_row_16_a_step_beyond_the_gate_is_an_alarm_too() -> None:
 
 CLEAN = ("time.epochs=60",)
 STRUCK = ("sensors.beacons.outliers.fraction=0.3", "sensors.beacons.outliers.size=100")
-GATED = 'sensors.beacons.gate=0.999'
+GATED = "sensors.beacons.gate=0.999"
 
 
 def _errors(kind: str, *settings: str) -> dict[str, tuple[float, str]]:
     scenario = load_scenario(ZHANG, [*CLEAN, *settings])
     recording = scenario.simulate(0)
     track = run_estimator(kind, scenario.problem(recording, 0))
-    found = {}
+    found: dict[str, tuple[float, str]] = {}
     for row in [track] if track.smoothed is None else [track, track.smoothed]:
         s = score(row, recording.truth, derived_quantities(scenario.layout))
         rmse = s.states["relative_attitude"].rmse

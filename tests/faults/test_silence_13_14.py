@@ -52,9 +52,7 @@ def test_row_13_recovery_without_reset(kind: str) -> None:
         fix = one.admit("fix", t, x[None, :3] + 0.05, np.zeros(1, dtype=np.int64))
         ids = np.arange(3)
         ranges = problem.sensors["ranger"].predict(ids, x[:3] + 0.05, x[6:])
-        found = one.step(
-            Epoch(t, (fix, one.admit("ranger", t, ranges, ids)), _idle(t).inputs)
-        )
+        found = one.step(Epoch(t, (fix, one.admit("ranger", t, ranges, ids)), _idle(t).inputs))
     assert found.status == "OK", found.message
     assert found.P[0, 0] < 1e-3 * wide
 

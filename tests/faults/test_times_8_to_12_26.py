@@ -145,7 +145,7 @@ def test_row_26_a_state_that_has_left_the_window(kind: str) -> None:
     assert one.epochs[0].t == 29.0 - WINDOW
     before = snapshot(one)
     inside = replace(_ranger(problem.epochs[20]), t=20.5)
-    with pytest.raises(LateError, match="left the window, which begins at 17.0 s"):
+    with pytest.raises(LateError, match=r"left the window, which begins at 17\.0 s"):
         one.insert([inside, _ranger(problem.epochs[3])])
     assert_same(snapshot(one), before)
     with pytest.raises(InputError, match="after the newest epoch"):
