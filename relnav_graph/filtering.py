@@ -18,7 +18,13 @@ from relnav_graph.loops import (
 )
 from relnav_graph.matrices import cholesky, sandwich, solve_lower
 from relnav_graph.robust import root_weight
-from relnav_graph.updating import copy, innovation_covariance, robust_update, sum_of_squares
+from relnav_graph.updating import (
+    copy,
+    innovation_covariance,
+    misfit,
+    robust_update,
+    sum_of_squares,
+)
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
 
@@ -240,7 +246,7 @@ def _measured_epoch(
         weight[i] = 1.0 if status[i] == 0 else 0.0
     innovation_covariance(H, P, HP, S)
     _gate(observations, sensors, S, r, limit, losses, first, weight, squares)
-    # Rows that are not used stand aside: zero innovation, unit variance, no correlation.
+    # Rows that are not used stand aside: nothing seen, nothing to see.
     for i in range(last - first):
         start = observations[first + i, ROW] - observations[first, ROW]
         count = sensors[observations[first + i, SENSOR], ROWS]
@@ -252,11 +258,8 @@ def _measured_epoch(
             continue
         for a in range(start, start + count):
             r[a] = 0.0
-            for j in range(rows):
-                S[a, j] = S[j, a] = 1.0 if a == j else 0.0
-    whole = r.copy().reshape(rows, 1)
-    if not cholesky(S):
+            for j in range(n):
+                H[a, j] = 0.0
+    nis[0] = misfit(H, P, r)
+    if not np.isfinite(nis[0]):
         failure[0] = NOT_POSITIVE
-        return
-    solve_lower(S, whole)
-    nis[0] = sum_of_squares(whole[:, 0])

@@ -40,9 +40,9 @@ def root_weight(kind: float, c: float, s2: float) -> float:
     """Square root of the weight of an observation of mean square s2; 1 without a loss."""
     q = s2 / (c * c)
     if kind == HUBER:
-        return 1.0 if q <= 1.0 else 1.0 / np.sqrt(np.sqrt(q))
+        return 1.0 if q <= 1.0 else float(1.0 / np.sqrt(np.sqrt(q)))
     if kind == CAUCHY:
-        return 1.0 / np.sqrt(1.0 + q)
+        return float(1.0 / np.sqrt(1.0 + q))
     if kind == DCS:
         return min(1.0, 2.0 / (1.0 + q))
     if kind == TUKEY:

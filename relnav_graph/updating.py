@@ -13,10 +13,10 @@ from relnav_graph.compiled import jit
 from relnav_graph.loops import ROW, ROWS, SENSOR, observe
 from relnav_graph.matrices import (
     cholesky,
+    householder,
+    inverse_upper,
     product,
-    sandwich,
     solve_lower,
-    solve_lower_transposed,
     symmetrize,
 )
 from relnav_graph.robust import HUBER, root_weight
@@ -25,6 +25,7 @@ from relnav_graph.state import local, retract, times_jacobian
 __all__ = [
     "copy",
     "innovation_covariance",
+    "misfit",
     "robust_update",
     "scaled_cholesky",
     "sum_of_squares",
@@ -37,17 +38,6 @@ ROUNDS, CONVEX_ROUNDS, WEIGHT_TOLERANCE = 40, 4, 1e-3
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-
-@jit
-def _transposed_product(a: Array, b: Array, sign: float, out: Array) -> None:
-    """``out = out + sign a^T b``."""
-    for l in range(a.shape[0]):
-        for i in range(a.shape[1]):
-            f = sign * a[l, i]
-            if f != 0.0:
-                for j in range(b.shape[1]):
-                    out[i, j] += f * b[l, j]
 
 
 @jit
@@ -101,24 +91,69 @@ def innovation_covariance(H: Array, P: Array, HP: Array, S: Array) -> None:
 
 
 @jit
-def _gain(H: Array, P: Array, gain_T: Array) -> bool:
-    """The transposed gain, ``(H P H^T + I)^-1 H P``."""
-    S = np.empty((H.shape[0], H.shape[0]))
-    innovation_covariance(H, P, gain_T, S)
-    if not cholesky(S):
-        return False
-    solve_lower(S, gain_T)
-    solve_lower_transposed(S, gain_T)
-    return True
+def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
+    """Triangularise the rows ``y`` and ``innovation + H C y`` in a (n + rows, n + 1).
+
+    With ``C C^T`` the covariance before, y is the step in its sigmas: R of the result is
+    the square root of the information after, and R y = a[:n, n]. By reflections, so that
+    measurements however precise lose no digits, as they would in H P H^T + I.
+    """
+    n, rows = C.shape[0], H.shape[0]
+    G = np.empty((rows, n))
+    product(H, C, G)
+    for i in range(n + rows):
+        for j in range(n + 1):
+            a[i, j] = 1.0 if i == j else 0.0
+    for i in range(rows):
+        for j in range(n):
+            a[n + i, j] = G[i, j]
+        a[n + i, n] = -innovation[i]
+    householder(a, n, n, n + rows, n + 1)
 
 
 @jit
-def _joseph(P0: Array, gain_T: Array, H: Array, P: Array) -> None:
-    """``(I - K H) P0 (I - K H)^T + K K^T``."""
-    left = so3.identity(P0.shape[0])
-    _transposed_product(gain_T, H, -1.0, left)
-    sandwich(left, P0, P)
-    _transposed_product(gain_T, gain_T, 1.0, P)
+def _solution(C: Array, a: Array) -> Array:
+    """The step ``C R^-1 a[:n, n]``."""
+    n = C.shape[0]
+    y = np.empty(n)
+    for i in range(n - 1, -1, -1):
+        y[i] = a[i, n]
+        for j in range(i + 1, n):
+            y[i] -= a[i, j] * y[j]
+        y[i] /= a[i, i]
+    return so3.rotate(C, y)
+
+
+@jit
+def _covariance(C: Array, a: Array, P: Array) -> None:
+    """``P = (C R^-1) (C R^-1)^T``."""
+    n = C.shape[0]
+    R, half = np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            R[i, j] = a[i, j] if j >= i else 0.0
+    product(C, inverse_upper(R), half)
+    for i in range(n):
+        for j in range(i + 1):
+            value = 0.0
+            for l in range(n):
+                value += half[i, l] * half[j, l]
+            P[i, j] = P[j, i] = value
+
+
+@jit
+def misfit(H: Array, P: Array, r: Array) -> float:
+    """``r^T (H P H^T + I)^-1 r``; NaN where P is not positive definite."""
+    n = P.shape[0]
+    scale, C = np.empty(n), np.empty((n, n))
+    if not scaled_cholesky(P, scale, C):
+        return np.nan
+    for i in range(n):
+        for j in range(n):
+            C[i, j] *= scale[i]
+    a = np.empty((n + H.shape[0], n + 1))
+    _least_squares(H, C, r, a)
+    return sum_of_squares(a[n:, n].copy())
 
 
 @jit
@@ -168,7 +203,7 @@ def update(
     x: Array,
     P: Array,
 ) -> bool:
-    """Measurement update of one epoch in place: x (size,), P (n, n), in Joseph's form.
+    """Measurement update of one epoch in place: x (size,), P (n, n), by square roots.
 
     One iteration is the extended Kalman filter; more are Gauss-Newton steps towards the
     maximum a posteriori (Bell and Cathey 1993), halved while the cost grows and given up
@@ -182,7 +217,10 @@ def update(
     r, H, H0 = np.empty(rows), np.empty((rows, n)), np.empty((rows, n))
     r_try, H_try = np.empty(rows), np.empty((rows, n))
     status, status_try = np.empty(last - first, np.int64), np.empty(last - first, np.int64)
-    gain_T, innovation = np.empty((rows, n)), np.empty(rows)
+    C, a, innovation = np.empty((n, n)), np.empty((n + rows, n + 1)), np.empty(rows)
+    for i in range(n):
+        for j in range(n):
+            C[i, j] = scale[i] * L[i, j]
     at = x.copy().reshape(1, x.shape[0])
     observe(sensors, observations, places, numbers, first, last, epoch, at, weight, r, H, status)
     e = np.zeros(n)
@@ -190,16 +228,15 @@ def update(
     for _ in range(iterations):
         copy(H, H0)
         times_jacobian(H0, e, kinds, False)  # to perturbations in the tangent of x0
-        if not _gain(H0, P0, gain_T):
-            return False
         for i in range(rows):
             innovation[i] = r[i]
             for j in range(n):
                 innovation[i] -= H0[i, j] * e[j]
-        ahead = so3.unrotate(gain_T, innovation)
+        _least_squares(H0, C, innovation, a)
+        ahead = _solution(C, a)
         step = np.empty((1, n))
         for j in range(n):
-            step[0, j] = -ahead[j] - e[j]
+            step[0, j] = ahead[j] - e[j]
         _stepto_tangent(step, e, kinds)
         if iterations == 1:
             moved = retract(x, step[0], kinds)
@@ -243,7 +280,7 @@ def update(
         r, r_try, H, H_try, status, status_try = r_try, r, H_try, H, status_try, status
         if length2 < 1e-6:
             break
-    _joseph(P0, gain_T, H0, P)
+    _covariance(C, a, P)
     to_tangent(P, local(x0, x, kinds, n), kinds, False)
     return True
 
