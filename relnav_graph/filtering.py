@@ -108,10 +108,10 @@ def filter_epochs(
 
     x_before (size,), P_before (n, n): the state that the first of them starts from. limit:
     of the gate, for each observation; losses (observations, 2): robust ones. Fills, by
-    epoch, predictions, F and Q (which may have room for one epoch only, then the last one's), x, P, nis and used (squared normalised
-    innovation of the rows used, and their number); by observation, weight (the square root
-    of a robust one, 0 for one left out). failure (4,): what stopped it, process or
-    observation, status, epoch.
+    epoch, predictions, F and Q (which may have room for one epoch only, then the last
+    one's), x, P, nis and used (squared normalised innovation of the rows used, and
+    their number); by observation, weight (the square root of a robust one, 0 for one left
+    out). failure (4,): what stopped it, process or observation, status, epoch.
     """
     lag = epoch_offsets.shape[0] - 1 - starts.shape[0]
     xk, Pk = x_before.copy(), P_before.copy()

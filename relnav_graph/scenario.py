@@ -122,9 +122,15 @@ class Scenario:
         )
         rng = sim.stream(seed, run, "prior")
         prior = make_prior(self.layout, self.file.prior, recording.truth, epochs[0].t, rng)
-        models = self.processes, self.sensors
-        options = self.gates, self.file.online.window, self.losses
-        problem = Problem(*models, prior, epochs, *options)
+        problem = Problem(
+            self.processes,
+            self.sensors,
+            prior,
+            epochs,
+            gates=self.gates,
+            window=self.file.online.window,
+            losses=self.losses,
+        )
         measured = [b.name for b in self.layout if self.file.prior[b.name].mean == "measured"]
         return replace(problem, prior=initialise(problem, measured)) if measured else problem
 

@@ -134,8 +134,15 @@ class FixedLagEngine:
         edges = np.cumsum([part.observations for part in parts])[:-1]
         weights = tuple(np.split(solution.weights, edges))
         window = Window(
-            *(epoch.t, state.anchor, solution.x, 0.5 * (P + P.T)),
-            *(epochs, parts, weights, replace(done, weights=weights[-1]), None, solution),
+            t=epoch.t,
+            anchor=state.anchor,
+            trajectory=solution.x,
+            P=0.5 * (P + P.T),
+            epochs=epochs,
+            parts=parts,
+            weights=weights,
+            done=replace(done, weights=weights[-1]),
+            smoothed=solution,
         )
         return self._without_old(window)
 
@@ -156,8 +163,11 @@ class FixedLagEngine:
         system = linearize(assembly, w.anchor, x, whiten, np.concatenate(w.weights[:gone]))
         c = system.conditionals
         left = Left(
-            *(np.array([e.t for e in w.epochs[:gone]]), x[lead:]),
-            *(np.concatenate(w.weights[:gone]), lead, w.smoothed.conditionals),
+            t=np.array([e.t for e in w.epochs[:gone]]),
+            x=x[lead:],
+            weights=np.concatenate(w.weights[:gone]),
+            first=lead,
+            conditionals=w.smoothed.conditionals,
         )
         return replace(
             w,
@@ -182,8 +192,8 @@ class FixedLagEngine:
         """The window again."""
         p, a = self.problem, {name: np.array(array) for name, array in arrays.items()}
         epochs = unpack({k.removeprefix("epochs."): v for k, v in a.items() if k[:7] == "epochs."})
-        before = [*(float(t) for t in a["before"]), *(e.t for e in epochs[:-1])]
-        before = before if len(a["before"]) else [None, *before]
+        first = [float(t) for t in a["before"]] or [None]
+        before = [*first, *(e.t for e in epochs)]
         parts = tuple(
             Assembly(p.layout, p.processes, p.sensors, [epoch], t)
             for epoch, t in zip(epochs, before, strict=False)

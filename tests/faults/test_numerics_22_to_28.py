@@ -257,7 +257,7 @@ def test_row_28_another_scale_is_the_same_problem(kind: str, scale: float) -> No
         "motion": WhiteNoiseAcceleration(acceleration_density=scale * 0.002),
         "electronics": replace(PROCESSES["electronics"], density=scale * 0.002),
     }
-    sensors = {
+    sensors: dict[str, Any] = {
         "fix": PositionFix(covariance=scale**2 * 0.01 * np.eye(3)),
         "ranger": DriftingRange(points=scale * 2 * np.eye(3), sigma=scale * 0.005),
     }

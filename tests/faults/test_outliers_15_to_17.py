@@ -124,7 +124,7 @@ def _errors(kind: str, *settings: str) -> dict[str, tuple[float, str]]:
     scenario = load_scenario(ZHANG, [*CLEAN, *settings])
     recording = scenario.simulate(0)
     track = run_estimator(kind, scenario.problem(recording, 0))
-    found = {}
+    found: dict[str, tuple[float, str]] = {}
     for row in [track] if track.smoothed is None else [track, track.smoothed]:
         s = score(row, recording.truth, derived_quantities(scenario.layout))
         rmse = s.states["relative_attitude"].rmse
