@@ -108,14 +108,23 @@ def cache_folder(source: str) -> Path:
 
 
 def _compile(function: F, *signature: Any, **options: bool) -> F:
+    options["error_model"] = "numpy"  # type: ignore[assignment]
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
     try:
-        return numba.njit(*signature, cache=True, error_model="numpy", **options)(function)  # type: ignore[no-any-return]
+        compiled = numba.njit(*signature, cache=True, **options)(function)
     except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
-        return numba.njit(*signature, error_model="numpy", **options)(function)  # type: ignore[no-any-return]
+        compiled = numba.njit(*signature, **options)(function)
     finally:
         numba.config.CACHE_DIR = configured
+    template = compiled.get_call_template
+
+    def of_types(arguments: Any, keywords: Any) -> Any:
+        # A 0 is an integer: numba would compile the function again for each literal.
+        return template([types.unliteral(a) for a in arguments], keywords)
+
+    compiled.get_call_template = of_types
+    return compiled  # type: ignore[no-any-return]
 
 
 def jit(function: F) -> F:

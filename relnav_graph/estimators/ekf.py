@@ -82,14 +82,14 @@ class FilterPass:
     def innovations(self) -> dict[str, Innovations]:
         """Those of each sensor that saw anything, one epoch after the other, each epoch's
         whitened by the symmetric root of S = H P H^T + I."""
-        a, found = self.assembly, {}
-        rows = a.measure(self.x_predicted, self.weights)
-        sensor = np.where(
-            np.repeat(self.weights > 0, a.heights), np.repeat(a.sensor_of, a.heights), -1
-        )
+        a, found = self.assembly, dict[str, Innovations]()
+        weights = self.weights.copy()
+        weights[a.epoch_offsets[self.reached] :] = 0.0
+        rows = a.measure(self.x_predicted, weights)
+        sensor = np.where(a.rows_of(weights > 0), np.repeat(a.sensor_of, a.heights), -1)
         epoch = np.repeat(np.arange(len(a.times)), np.diff(a.row_offsets))
         for i, name in enumerate(a.sensor_names):
-            own = np.flatnonzero((sensor == i) & (epoch < self.reached))
+            own = np.flatnonzero(sensor == i)
             if not len(own):
                 continue
             at, begin, counts = np.unique(epoch[own], return_index=True, return_counts=True)
