@@ -49,9 +49,8 @@ def _same(layout: Layout, a: Array, b: Array, names: Sequence[str]) -> bool:
     """Whether two states are one minimum: attitudes within half a degree, vectors a percent."""
     d = layout.local(a, b)
     for name in names:
-        size = (
-            1.0 if layout.block(name).manifold == "SO3" else np.linalg.norm(a[layout.stored(name)])
-        )
+        flat = layout.block(name).manifold != "SO3"
+        size = np.linalg.norm(a[layout.stored(name)]) if flat else 1.0
         if np.linalg.norm(d[layout.tangent(name)]) > 0.01 * size:
             return False
     return True

@@ -14,6 +14,7 @@ squares: Holland and Welsch 1977).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -38,16 +39,16 @@ TUNING: Mapping[str, float] = {"huber": 1.345, "cauchy": 2.3849, "dcs": 2.0, "tu
 @jit
 def root_weight(kind: float, c: float, s2: float) -> float:
     """Square root of the weight of an observation of mean square s2; 1 without a loss."""
-    q = s2 / (c * c)
-    if kind == HUBER:
-        return 1.0 if q <= 1.0 else float(1.0 / np.sqrt(np.sqrt(q)))
-    if kind == CAUCHY:
-        return float(1.0 / np.sqrt(1.0 + q))
-    if kind == DCS:
-        return min(1.0, 2.0 / (1.0 + q))
-    if kind == TUKEY:
-        return 1.0 - q if q < 1.0 else 0.0
-    return 1.0
+    q, root = s2 / (c * c), 1.0
+    if kind == HUBER and q > 1.0:
+        root = 1.0 / math.sqrt(math.sqrt(q))
+    elif kind == CAUCHY:
+        root = 1.0 / math.sqrt(1.0 + q)
+    elif kind == DCS:
+        root = min(1.0, 2.0 / (1.0 + q))
+    elif kind == TUKEY:
+        root = max(1.0 - q, 0.0)
+    return root
 
 
 @jit

@@ -29,6 +29,8 @@ from relnav_graph.track import Status, Track
 #: What may go wrong on the way to a solution, when the problem is in order.
 UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
 
+#: A step of fewer sigmas is none.
+ROUNDING = 1e-7
 #: Rounds of reweighting, at most, and the change of a weight's root that ends them.
 ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
 
@@ -116,6 +118,8 @@ def solve(
     while iteration < max_iterations:
         iteration += 1
         distance = np.sqrt(2 * system.conditionals.decrease())
+        if distance < ROUNDING and damping == 0.0:
+            break
         after = the_pass.moved(system, conditionals.solution())
         # The cost is a sum of many squares: its own rounding is no reason to stop.
         better = after is not None and after.cost <= best.cost * (1 + 1e-12)

@@ -162,8 +162,13 @@ class FixedLagEngine:
         whiten = assembly.whitening(assembly.transition(x[:-1])[2])
         system = linearize(assembly, w.anchor, x, whiten, np.concatenate(w.weights[:gone]))
         c = system.conditionals
-        times, weights = np.array([e.t for e in w.epochs[:gone]]), np.concatenate(w.weights[:gone])
-        left = Left(times, x[lead:], weights, lead, w.smoothed.conditionals)
+        left = Left(
+            t=np.array([e.t for e in w.epochs[:gone]]),
+            x=x[lead:],
+            weights=np.concatenate(w.weights[:gone]),
+            first=lead,
+            conditionals=w.smoothed.conditionals,
+        )
         return replace(
             w,
             anchor=Anchor(x[-1], c.R[-1], c.d[-1]),
@@ -188,7 +193,7 @@ class FixedLagEngine:
         p, a = self.problem, {name: np.array(array) for name, array in arrays.items()}
         epochs = unpack({k.removeprefix("epochs."): v for k, v in a.items() if k[:7] == "epochs."})
         first = float(a["before"][0]) if len(a["before"]) else None
-        before = [first, *(e.t for e in epochs[:-1])]
+        before = [first, *(e.t for e in epochs)]
         parts = tuple(
             Assembly(p.layout, p.processes, p.sensors, [epoch], t)
             for epoch, t in zip(epochs, before, strict=False)

@@ -85,7 +85,7 @@ def measure(
     timing: Timing,
     truth: Truth,
     rng: np.random.Generator,
-    outliers: np.random.Generator,
+    outliers: np.random.Generator | None = None,
 ) -> list[Measurement]:
     """What a sensor would have measured: the model at the truth, with its noise.
 
@@ -106,7 +106,9 @@ def measure(
         if len(seen):
             clean = Measurement(name, float(t), rows, seen)
             R = sensor.noise(clean)
-            unit = _with_outliers(rng.standard_normal(R.shape[:2]), timing, outliers)
+            unit = rng.standard_normal(R.shape[:2])
+            if outliers is not None and timing.outlier_fraction > 0:
+                unit = _with_outliers(unit, timing, outliers)
             e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
             out.append(Measurement(name, float(t), sensor.perturb(clean.z, e), clean.ids))
     return out

@@ -17,8 +17,7 @@ from passes import FIX, ONE_ID, PRIOR, PROCESSES
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators import fixed_lag
-from relnav_graph.estimators.batch import solve_gated
+from relnav_graph.estimators import batch, fixed_lag
 from relnav_graph.estimators.fixed_lag import FixedLagEngine
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Problem, make_epochs
@@ -45,6 +44,7 @@ def _fixes() -> Problem:
 def test_row_32_twenty_thousand_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory is flat, and so is the work: epochs in the window, Gauss-Newton steps, rows."""
     problem, work = _fixes(), deque[tuple[int, int, int]](maxlen=100)
+    solve_gated = batch.solve_gated
 
     def counted(assembly: Assembly, *arguments: Any) -> Any:
         solution = solve_gated(assembly, *arguments)

@@ -46,9 +46,7 @@ def _nees(problem: Problem, truth: Truth | None, x: Array, P: Array) -> float:
 
 def test_row_18_no_first_measurement() -> None:
     problem, _ = zhang(5)
-    with pytest.raises(
-        EstimationError, match=r"t = 0.0 s, says where to start for target_att.*beac"
-    ):
+    with pytest.raises(EstimationError, match=r"says where to start for target_att.*beac"):
         initialise(_cut(problem, 0), POSE)
 
 
@@ -106,9 +104,8 @@ def test_row_18_stereo_points(pose: Any) -> None:
 def test_row_18_an_inertia_that_is_not_seen_keeps_its_prior() -> None:
     """Steady spin about a principal axis says nothing of the ratios."""
     spin = 'truth.target_rate=["0 deg/s","0 deg/s","2 deg/s"]'
-    problem, _ = zhang(
-        20, spin, 'prior.target_rate.mean="truth"', 'prior.target_rate.sigma="0.01 deg/s"'
-    )
+    known = 'prior.target_rate.mean="truth"', 'prior.target_rate.sigma="0.01 deg/s"'
+    problem, _ = zhang(20, spin, *known)
     track = run_estimator("iekf", problem)
     assert track.status == "ok"
     assert np.sqrt(np.linalg.eigvalsh(track.covariance("inertia_parameters")[-1]))[-1] > 0.35
@@ -207,9 +204,9 @@ def test_row_30_an_initial_error_of_exactly_pi(kind: str) -> None:
     for axis in np.eye(3):
         try:
             track = run_estimator(kind, _turned(problem, recording.truth, 180.0, axis))
-        except ModelError as error:  # a plain EKF may end where the inertia's kernel overflows
-            assert kind == "ekf"
-            assert "process 'target'" in str(error)
+        except ModelError:  # a plain EKF may end where the inertia's kernel overflows
+            if kind != "ekf":
+                raise
             continue
         good = track.status == "ok"
         assert not good or _nees(problem, recording.truth, track.x[-1], track.P[-1]) < 12

@@ -1,0 +1,92 @@
+"""Many steps of an estimator online: latencies, status and memory, at the start and later.
+
+    python experiments/soak.py --steps 1000000
+
+By default the fixed-lag smoother on zhang2015_close, 1 Hz, with a window of 30 s. What is
+true goes on for ever here: the scenario's own models, from the prior's mean, without process
+noise; only the cost of the steps is of interest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.errors import GeometryError
+from relnav_graph.estimators.online import online
+from relnav_graph.models import Measurement
+from relnav_graph.problem import Epoch, Problem
+from relnav_graph.scenario import load_scenario
+
+SCENARIO = Path(__file__).parent / "zhang2015_close.toml"
+
+
+def resident() -> float:
+    """Memory of this process, MB (Linux)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def endless(problem: Problem, seed: int = 0) -> Iterator[Epoch]:
+    """Epochs at the spacing and with the inputs of the problem's second one."""
+    layout, x, rng = problem.layout, problem.prior.x, np.random.default_rng(seed)
+    t, spacing = problem.epochs[0].t, problem.epochs[1].t - problem.epochs[0].t
+    inputs = dict[str, np.ndarray]()
+    while True:
+        measurements = []
+        for name, sensor in problem.sensors.items():
+            ids = sensor.observables()
+            try:
+                z = sensor.predict(ids, *(layout.value(x, b.name) for b in sensor.reads))
+            except GeometryError:  # not seen
+                continue
+            R = sensor.noise(Measurement(name, t, z, ids))
+            e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.standard_normal(R.shape[:2]))
+            measurements.append(Measurement(name, t, sensor.perturb(z, e), ids))
+        yield Epoch(t, tuple(measurements), inputs)
+        inputs = dict(problem.epochs[1].inputs)
+        ahead = Epoch(t + spacing, (), inputs)
+        models = problem.processes, problem.sensors
+        x = Assembly(layout, *models, [ahead], t).transition(x[None])[0][0]
+        t += spacing
+
+
+def main() -> None:
+    """Run, and print a line at each power of ten and at the end."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=1_000_000)
+    parser.add_argument("--scenario", type=Path, default=SCENARIO)
+    parser.add_argument("--estimator", default="fixed_lag")
+    parser.add_argument("--window", default="30 s")
+    options = parser.parse_args()
+    settings = ["time.epochs=2", f'online.window="{options.window}"']
+    scenario = load_scenario(options.scenario, settings)
+    problem = scenario.problem(scenario.simulate(0), 0)
+    one = online(options.estimator, replace(problem, epochs=()))
+    recent, marks = np.zeros(1000), {10**k for k in range(3, 9)} | {200_000, options.steps}
+    print("     step  median ms  p99 ms   max ms  resident MB  status")
+    with threadpool_limits(1, "blas"):
+        for k, epoch in zip(range(1, options.steps + 1), endless(problem), strict=False):
+            begun = time.perf_counter()
+            found = one.step(epoch)
+            recent[k % len(recent)] = 1e3 * (time.perf_counter() - begun)
+            if k in marks:
+                last = recent[1:k] if k < len(recent) else recent
+                print(
+                    f"{k:9d}  {np.median(last):9.3f}  {np.percentile(last, 99):6.3f}"
+                    f"  {last.max():7.3f}  {resident():11.1f}  {found.status}",
+                    flush=True,
+                )
+    print(one.totals)
+
+
+if __name__ == "__main__":
+    main()
