@@ -399,7 +399,9 @@ class Online:
 def _named(epoch: Epoch) -> Iterator[None]:
     """Whatever a model raises in an epoch becomes a ModelError that says where."""
     try:
-        yield
+        # What is far out overflows before it is found out.
+        with np.errstate(over="ignore", invalid="ignore"):
+            yield
     except RelnavError:
         raise
     except np.linalg.LinAlgError as error:
