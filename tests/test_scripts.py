@@ -56,6 +56,16 @@ def test_astrobee_beats_its_authors() -> None:
     assert found["batch"][0] < 0.3 < found["authors, length only"][0]
 
 
+def test_soak_prints_its_marks(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["soak", "--steps", "40", "--window", "5 s"])
+    _script("soak").main()
+    out = capsys.readouterr().out.splitlines()
+    assert out[1].split()[0] == "40"
+    assert "OK" in out[1]
+
+
 def test_benchmark_compares_everything(tmp_path: Path) -> None:
     """At a tiny size, where the figures mean nothing; that solvers agree does."""
     figure = tmp_path / "cost.png"
