@@ -259,7 +259,8 @@ class Batch:
                 status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
                 if solution.distance > 0.1:
                     status = "degraded"
-                    message = f"not converged: last step {solution.distance:.2g} sigma"
+                    stopped = f"not converged: last step {solution.distance:.2g} sigma"
+                    message = f"{message}; {stopped}" if message else stopped
             except UNSOLVED as error:
                 message = str(error)
         return Track(
