@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import permutations, product
 from typing import Annotated, Literal
 
 import numpy as np
@@ -171,10 +170,10 @@ class PointSensor(SensorModel):
 def axis_rotations() -> list[Array]:
     """The 24 rotations that take axes to axes: none is farther than 63 deg from one."""
     found = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
+    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]):
+        for signs in np.ndindex(2, 2, 2):
             R = np.zeros((3, 3))
-            R[range(3), order] = signs
+            R[range(3), order] = 1.0 - 2.0 * np.array(signs)
             if np.linalg.det(R) > 0:
                 found.append(R)
     return found

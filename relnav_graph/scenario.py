@@ -154,7 +154,7 @@ class Scenario:
         given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
         given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}
         truth = Truth(np.array([t]), {n: value[None] for n, value in means.items()})
-        rng = np.random.default_rng(0)  # nothing is drawn
+        rng = sim.stream(0, 0, "prior")  # nothing is drawn
         return make_prior(self.layout, {**self.file.prior, **given}, truth, t, rng)
 
 

@@ -95,7 +95,7 @@ WRONG_INPUT: list[tuple[str, Callable[[], Any], str]] = [
         lambda: toy_problem([], prior=_prior(np.eye(2))),
         r"found x \(2,\) and P \(2, 2\), exp",
     ),
-    ("no epoch", _epochs, "epochs: .*expected one or more"),
+    ("no epoch", lambda: run_estimator("ekf", _epochs()), "epochs: .*expected one or more"),
     ("epochs back", lambda: _epochs(Epoch(1.0), Epoch(0.5)), r"epoch 1: found t = 0\.5 s.*increas"),
     ("epoch twice", lambda: _epochs(Epoch(1.0), Epoch(1.0)), r"epoch 1: found t = 1\.0 s.*increas"),
     ("epoch nan", lambda: _epochs(Epoch(np.nan)), "epoch 0: found t = nan"),

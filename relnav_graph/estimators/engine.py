@@ -1,0 +1,84 @@
+"""What an estimator offers for use online, and what a step gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.estimators.ekf import FilterPass
+from relnav_graph.estimators.health import Health
+from relnav_graph.problem import Epoch
+
+__all__ = ["Engine", "EngineState", "Estimate", "Refusal"]
+
+Array = NDArray[np.float64]
+
+
+class EngineState(Protocol):
+    """An estimator at the newest epoch that it has taken in: an immutable value.
+
+    t: its time, None before the first; x (size,), P (n, n); done: what a filter made of
+    that epoch, which tells weights and innovations.
+    """
+
+    @property
+    def t(self) -> float | None: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def P(self) -> Array: ...
+    @property
+    def done(self) -> FilterPass | None: ...
+
+
+class Engine(Protocol):
+    """How an estimator gets from one state to the next.
+
+    compact: whether a state can be saved; else only all its epochs can make it again.
+    """
+
+    compact: bool
+
+    def begin(self) -> Any:
+        """The state before the first epoch."""
+
+    def advance(self, state: Any, epoch: Epoch, assembly: Assembly | None = None) -> Any:
+        """The state with one more epoch. Raises EstimationError or ModelError."""
+
+    def save(self, state: Any) -> dict[str, Array]:
+        """A state as plain arrays."""
+
+    def load(self, arrays: Mapping[str, Array]) -> Any:
+        """The state that `save` made arrays of."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Observations of one sensor and time that were not used, or not fully.
+
+    reason: "gated", "impossible" (at the state: behind the camera), "downweighted" or
+    "duplicate".
+    """
+
+    sensor: str
+    t: float
+    ids: tuple[int, ...]
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The state at the newest epoch: t s, x (size,), P (n, n); whether to trust it, and why
+    not; what was refused of the epochs taken in for it."""
+
+    t: float
+    x: Array
+    P: Array
+    status: Health
+    message: str = ""
+    refused: tuple[Refusal, ...] = ()
