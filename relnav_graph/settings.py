@@ -283,7 +283,9 @@ def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, An
 def json_schema() -> dict[str, Any]:
     """JSON Schema of scenario files, for editors."""
     schema = ScenarioFile.model_json_schema()
-    options = SensorOptions.model_json_schema()["properties"]
+    own_options = SensorOptions.model_json_schema()
+    schema["$defs"] |= own_options.pop("$defs", {})
+    options = own_options["properties"]
     for section, group, contract, general in (
         ("processes", models.ENTRY_POINTS, "advances", {}),
         ("sensors", models.ENTRY_POINTS, "observables", options),
