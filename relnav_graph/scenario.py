@@ -151,6 +151,11 @@ class Scenario:
 
         Raises InputError when one is missing.
         """
+        unmeasured = [
+            n for n, p in self.file.prior.items() if p.mean == "measured" and n not in means
+        ]
+        if unmeasured:
+            raise InputError(f"{self.name}: the prior of {unmeasured} is to be measured: give it")
         given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
         given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}
         truth = Truth(np.array([t]), {n: value[None] for n, value in means.items()})

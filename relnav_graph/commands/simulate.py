@@ -42,7 +42,7 @@ def command(
     seed = loaded.file.seed if seed is None else seed
     recording = loaded.simulate(seed, number)
     if str(out) == "-":
-        prior = loaded.prior(recording.truth, float(recording.times[0]), seed, number)
+        prior = loaded.problem(recording, seed, number).prior
         for line in recording_lines(recording, loaded.name, seed, loaded.layout, prior):
             click.echo(line)
         return
