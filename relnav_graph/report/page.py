@@ -174,9 +174,9 @@ def _scene_caption(scene: Scene) -> str:
     )
     return (
         f"Frame {scene.frame}. {target} is {times(scene.target_scale)};"
-        f" red, green and blue are its axes x, y, z, from the origin. The square is the chaser. {errors} Ellipsoids"
-        " of the first tenth of the pass are left out. Drag to turn, scroll to zoom; the slider"
-        " moves time."
+        " red, green and blue are its axes x, y, z, from the origin. The square is the chaser."
+        f" {errors} Ellipsoids of the first tenth of the pass are left out. Drag to turn, scroll"
+        " to zoom; the slider moves time."
     )
 
 
