@@ -29,6 +29,7 @@ from relnav_graph.report.contents import PassContents, StudyContents, read_conte
 from relnav_graph.report.embed import encode
 from relnav_graph.report.page import MAX_BYTES, Gallery
 from relnav_graph.report.zoom import zoomable
+from relnav_graph.study.record import Record
 
 SHORT = ("--set", "time.epochs=12", "-e", "iekf", "-e", "batch")
 SELF_CONTAINED = re.compile(r"#|data:")
@@ -232,6 +233,35 @@ def test_a_run_that_was_lost_is_named_with_its_command(study: Path, tmp_path: Pa
     table = tables.bad_runs(content.summary["failed"])
     assert table.rows[0][-1].text.endswith("--run 3")
     assert "--runs 4" in content.command
+
+
+def test_rows_that_diverged_leave_a_report(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One in a run, another in all: both are named, and no figure breaks."""
+    folder = tmp_path / "copy"
+    shutil.copytree(study, folder)
+    bad = {"kind": "smoothed", "status": "diverged", "message": "it grew <without> bounds"}
+    for file in sorted((folder / "runs").iterdir()):
+        record = Record.from_bytes(file.read_bytes(), "")
+        scalars = json.loads(json.dumps(record.scalars))
+        scalars["rows"]["batch"] |= bad
+        del scalars["noise"]["batch"]
+        scalars["mcreynolds"] = {}
+        if scalars["run"] == 1:
+            scalars["rows"]["iekf"] |= {**bad, "kind": "filtered"}
+        file.write_bytes(Record(scalars, record.series).to_bytes())
+    content = read_contents(folder)
+    assert isinstance(content, StudyContents)
+    assert content.judged == "iekf"
+    assert sorted(w.run for w in content.worst) == [0, 2]
+    monkeypatch.setattr(pages, "image", lambda figure: "data:,")
+    monkeypatch.setattr(StudyContents, "remake", lambda *_: None)
+    text = pages.render(content, "plotly")
+    assert text.count("it grew &lt;without&gt; bounds") == 4
+    assert text.count("--run 1 -e iekf") == 1
+    assert "could not be made again" in text
+    assert Outside(text).found == []
 
 
 def test_a_pass_is_told_in_full(one_pass: Path) -> None:

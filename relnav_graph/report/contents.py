@@ -106,11 +106,13 @@ def _lost(path: Path, there: set[int]) -> dict[int, str]:
 
 
 def _judged(found: Collected) -> str:
-    """The row by which runs are called bad: batch, or else the first smoothed one."""
-    if "batch" in found.rows:
+    """The row by which runs are called bad: batch, or else the first smoothed one, of
+    those that did not diverge in every run."""
+    rows = {name: row for name, row in found.rows.items() if row.own} or found.rows
+    if "batch" in rows:
         return "batch"
-    smoothed = [name for name, row in found.rows.items() if row.kind == "smoothed"]
-    return next(iter([*smoothed, *found.rows]))
+    smoothed = [name for name, row in rows.items() if row.kind == "smoothed"]
+    return next(iter([*smoothed, *rows]))
 
 
 def _worst(found: Collected, judged: str, rerun: str) -> list[WorstRun]:
