@@ -46,6 +46,8 @@ class Anchor:
 
     def rows(self, layout: Layout, x: Array) -> tuple[Array, Array]:
         """Whitened rows e + A d at x (size,): (n,), (n, n)."""
+        if np.array_equal(x, self.x):
+            return -self.d, self.W
         e = layout.local(self.x, x)
         return self.W @ e - self.d, self.W @ layout.right_jacobian_inverse(e)
 

@@ -1,10 +1,13 @@
 """Fixed-lag smoother: Gauss-Newton over a window of the newest epochs.
 
-What has left the window stands in one linear summary at its start, made by the same
-elimination as the window's own (`relnav_graph.sweep`), at the estimate with which it left.
-So the estimate is the full batch's over all that was seen, up to the relinearisation of what
-has left; on a linear problem it is the same. Cost and memory of a step are those of the
-window, for ever.
+The window is a chain of nodes, eliminated in order of time by the same rows and the same
+compiled code as the batch's (`relnav_graph.sweep`). A new epoch adds one node; the others
+keep their linearisation until their estimate has moved away from it, and then the chain is
+made anew from the first of those on, as in iSAM2 (Kaess et al. 2012), but along one line.
+What has left the window stands in one linear summary at its start, at the linearisation with
+which it left. So the estimate is the full batch's over all that was seen, up to the
+relinearisation of what has left, or has moved by less than `MOVED` sigma; on a linear problem it
+is the same. Cost and memory of a step are those of the window, for ever.
 """
 
 from __future__ import annotations
@@ -21,17 +24,44 @@ from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
-from relnav_graph.estimators.gating import count_downweighted, count_rejected, lost
+from relnav_graph.estimators.gating import (
+    count_downweighted,
+    count_rejected,
+    lost,
+    residual_weights,
+)
 from relnav_graph.estimators.packing import pack, unpack
 from relnav_graph.problem import SAME_TIME, Epoch, Problem
 from relnav_graph.sweep import Anchor, Conditionals, anchor_of, linearize
 from relnav_graph.track import Status, Track
 
-__all__ = ["FixedLag", "FixedLagEngine", "Left", "Window"]
+__all__ = ["FixedLag", "FixedLagEngine", "Left", "Node", "Window"]
 
 Array = NDArray[np.float64]
 #: Length of the window where the problem gives none: so many epochs.
 EPOCHS = 30
+#: How far an estimate may be from where it is linearised: in sigmas of what was known of it
+#: when it was the newest, over all its states together. The first while nothing has left.
+SETTLED, MOVED = 0.01, 0.5
+#: Rounds of relinearisation, at most, before a step is searched for with damping; each must
+#: halve the distance.
+ROUNDS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """An epoch linearised at x (size,) and all before it eliminated.
+
+    U (n, n), u (n,): what is known of its d by then, U d - u ~ N(0, I). R, S (n, n), r (n,): of
+    the node before, given this one, R d_before + S d = r; None at the first.
+    """
+
+    x: Array
+    U: Array
+    u: Array
+    R: Array | None = None
+    S: Array | None = None
+    r: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,41 +85,87 @@ class Left:
 class Window:
     """The smoother at one epoch: an immutable value.
 
-    trajectory (K, size): the states of the window; anchor: what is known of the first one
-    beforehand. Before anything has left, that is the first epoch's state; then it is that of
-    the newest epoch that has left. epochs, parts, weights: those in the window, all or the
-    last K - 1. done: the filter's part in the newest epoch; left: what left with it.
+    nodes: the K states of the window; d (K, n): their estimates, from where they are
+    linearised. anchor: what is known of the first one beforehand. Before anything has left,
+    that is the first epoch's state; then it is that of the newest epoch that has left.
+    x (size,), P (n, n): the newest state. epochs, parts, weights: those in the window, all or
+    the last K - 1. done: the filter's part in the newest epoch; left: what left with it.
     """
 
     t: float | None
     anchor: Anchor
-    trajectory: Array
+    x: Array
     P: Array
+    nodes: tuple[Node, ...] = ()
+    d: Array | None = None
     epochs: tuple[Epoch, ...] = ()
     parts: tuple[Assembly, ...] = ()
     weights: tuple[Array, ...] = ()
     done: FilterPass | None = None
     left: Left | None = None
-    smoothed: Solution | None = None
 
     @property
-    def x(self) -> Array:
-        """Estimate at the newest epoch (size,)."""
-        x: Array = self.trajectory[-1] if self.t is not None else self.anchor.x
-        return x
+    def lead(self) -> int:
+        """1 when the first node is of an epoch that has left, else 0."""
+        return len(self.nodes) - len(self.parts)
+
+    @property
+    def joined(self) -> Assembly:
+        """The parts as one, for all nodes."""
+        assembly = Assembly.join(self.parts) if len(self.parts) > 1 else self.parts[0]
+        return assembly.preceded() if self.lead else assembly
+
+    @property
+    def trajectory(self) -> Array:
+        """The states of the window (K, size)."""
+        x = np.array([node.x for node in self.nodes]).reshape(-1, len(self.x))
+        return x if self.d is None else self.parts[0].layout.retract(x, self.d)
 
 
-def _joined(parts: tuple[Assembly, ...], states: int) -> Assembly:
-    """The parts of a window with so many states as one."""
-    assembly = Assembly.join(parts) if len(parts) > 1 else parts[0]
-    return assembly.preceded() if states > len(parts) else assembly
+def _conditionals(nodes: Sequence[Node]) -> Conditionals:
+    newest, n = nodes[-1], len(nodes[-1].u)
+    R = np.array([*(node.R for node in nodes[1:]), newest.U])
+    S = np.array([node.S for node in nodes[1:]]).reshape(-1, n, n)
+    return Conditionals(R, S, np.array([*(node.r for node in nodes[1:]), newest.u]))
+
+
+def _node(w: Window, k: int, x: Array, before: Node | None) -> Node:
+    """Node k of a window, linearised at x (size,).
+
+    Raises EstimationError when an observation that counts is impossible there.
+    """
+    i = k - w.lead
+    if i < 0:
+        e, A = w.anchor.rows(w.parts[0].layout, x)
+        return Node(x, A, -e)
+    part, n = w.parts[i], len(w.anchor.d)
+    if before is None:
+        system = linearize(part, w.anchor, x[None], np.zeros((0, n, n)), w.weights[i])
+    else:
+        part, both = part.preceded(), np.array([before.x, x])
+        whiten = part.whitening(part.transition(both[:1])[2])
+        anchor = Anchor(before.x, before.U, before.u)
+        system = linearize(part, anchor, both, whiten, w.weights[i])
+    if system.status.any():
+        raise EstimationError("an observation has become impossible")
+    c = system.conditionals
+    if before is None:
+        return Node(x, c.R[0], c.d[0])
+    return Node(x, c.R[1], c.d[1], c.R[0], c.S[0], c.d[0])
+
+
+def _relinearized(w: Window, x: Array, first: int = 0) -> Window:
+    """The window with its nodes from `first` on linearised at x (K, size), and solved."""
+    nodes = list(w.nodes)
+    for k in range(first, len(nodes)):
+        nodes[k] = _node(w, k, x[k], nodes[k - 1] if k else None)
+    return replace(w, nodes=tuple(nodes), d=_conditionals(nodes).solution())
 
 
 class FixedLagEngine:
     """The window's way from epoch to epoch.
 
-    length: of the window, s; None for `EPOCHS` epochs. tolerance: length of the last
-    Gauss-Newton step, in sigmas over all states of the window.
+    length: of the window, s; None for `EPOCHS` epochs. tolerance: of `solve_gated`.
     """
 
     compact = True
@@ -103,7 +179,7 @@ class FixedLagEngine:
     def begin(self) -> Window:
         """At the prior, before the first epoch."""
         prior = self.problem.prior
-        return Window(None, anchor_of(prior), np.zeros((0, len(prior.x))), prior.P)
+        return Window(None, anchor_of(prior), prior.x, prior.P)
 
     def advance(self, state: Window, epoch: Epoch, assembly: Assembly | None = None) -> Window:
         """The window with one more epoch, and without those that are too old now.
@@ -115,36 +191,77 @@ class FixedLagEngine:
             assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
         kalman.t, kalman.x, kalman.P = state.t, state.x, state.P
         done = kalman.step(epoch, assembly)  # where to start from, and what the gate rejects
-        parts, epochs = (*state.parts, assembly), (*state.epochs, epoch)
-        weights = (*state.weights, done.weights)
-        start = np.concatenate([state.trajectory, kalman.x[None]])
+        newest = Node(kalman.x, np.zeros_like(kalman.P), np.zeros(len(kalman.P)))
+        longer = replace(
+            state,
+            t=epoch.t,
+            nodes=(*state.nodes, newest),
+            d=None if state.d is None else np.vstack([state.d, newest.u]),
+            epochs=(*state.epochs, epoch),
+            parts=(*state.parts, assembly),
+            weights=(*state.weights, done.weights),
+        )
+        window = self._extended(longer)
+        if window is None:
+            window = self._solved(longer)
+        assert window.d is not None
+        x = p.layout.retract(window.nodes[-1].x, window.d[-1])
+        inverse = np.linalg.inv(window.nodes[-1].U)
+        P = inverse @ inverse.T
+        if not (np.isfinite(x).all() and np.isfinite(P).all()):
+            raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
+        done = replace(done, weights=window.weights[-1])
+        return self._without_old(replace(window, x=x, P=0.5 * (P + P.T), done=done, left=None))
+
+    def _extended(self, w: Window) -> Window | None:
+        """The window linearised anew only where it must be; None when that is not enough: an
+        observation is not to count fully, or the way to the minimum is long."""
+        if self.problem.losses or not all((weights == 1).all() for weights in w.weights):
+            return None
+        limit, first, before = MOVED if w.lead else SETTLED, len(w.nodes) - 1, np.inf
+        x = np.array([node.x for node in w.nodes])
         try:
-            solution = solve_gated(
-                _joined(parts, len(start)),
-                *(p, start, np.concatenate(weights), self.tolerance, state.anchor),
-            )
+            for _ in range(ROUNDS):
+                w = _relinearized(w, x, first)
+                assert w.d is not None
+                U = np.array([node.U for node in w.nodes])
+                moved = np.sqrt(np.square(U @ w.d[:, :, None]).sum(axis=(1, 2)))
+                far = np.flatnonzero(moved > limit)
+                if not len(far):
+                    return w if self._fits(w) else None
+                if not moved.max() < 0.5 * before:
+                    return None
+                first, before, x = int(far[0]), moved.max(), w.trajectory
+        except UNSOLVED:
+            pass
+        return None
+
+    def _fits(self, w: Window) -> bool:
+        """Whether no residual of the window is beyond its gate."""
+        if not self.problem.gates:
+            return True
+        assembly = w.joined
+        rows = assembly.measure(w.trajectory, np.ones(assembly.observations))
+        return bool((residual_weights(assembly, rows, self.problem.gates, {}) == 1).all())
+
+    def solve(self, w: Window) -> Solution:
+        """The minimum over the window, with weights taken anew and steps damped."""
+        weights = np.concatenate(w.weights)
+        return solve_gated(
+            w.joined, self.problem, w.trajectory, weights, self.tolerance, w.anchor
+        )
+
+    def _solved(self, w: Window) -> Window:
+        """The window at its minimum. Raises EstimationError when there is none."""
+        try:
+            solution = self.solve(w)
+            edges = np.cumsum([part.observations for part in w.parts])[:-1]
+            weights = tuple(np.split(solution.weights, edges))
+            return _relinearized(replace(w, weights=weights), solution.x)
         except UNSOLVED as error:
             raise EstimationError(
-                f"t = {epoch.t} s: window of {len(parts)} epochs from {epochs[0].t} s: {error}"
+                f"t = {w.t} s: window of {len(w.parts)} epochs from {w.epochs[0].t} s: {error}"
             ) from error
-        inverse = np.linalg.inv(solution.conditionals.R[-1])
-        P = inverse @ inverse.T
-        if not (np.isfinite(solution.x).all() and np.isfinite(P).all()):
-            raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
-        edges = np.cumsum([part.observations for part in parts])[:-1]
-        weights = tuple(np.split(solution.weights, edges))
-        window = Window(
-            t=epoch.t,
-            anchor=state.anchor,
-            trajectory=solution.x,
-            P=0.5 * (P + P.T),
-            epochs=epochs,
-            parts=parts,
-            weights=weights,
-            done=replace(done, weights=weights[-1]),
-            smoothed=solution,
-        )
-        return self._without_old(window)
 
     def _without_old(self, w: Window) -> Window:
         """Leave the epochs that are too old to a summary at the newest of them."""
@@ -153,26 +270,22 @@ class FixedLagEngine:
         else:
             begin = w.epochs[-1].t - self.length - SAME_TIME
             gone = next(k for k, e in enumerate(w.epochs) if e.t >= begin)
-        if not gone or w.smoothed is None:
+        if not gone or w.d is None:
             return w
-        lead = len(w.trajectory) - len(w.parts)
-        keep = lead + gone - 1  # the state that becomes the first
-        assembly = _joined(w.parts[:gone], lead + gone)
-        x = w.trajectory[: keep + 1]
-        whiten = assembly.whitening(assembly.transition(x[:-1])[2])
-        system = linearize(assembly, w.anchor, x, whiten, np.concatenate(w.weights[:gone]))
-        c = system.conditionals
+        keep = w.lead + gone - 1  # the state that becomes the first
+        first = w.nodes[keep]
         left = Left(
             t=np.array([e.t for e in w.epochs[:gone]]),
-            x=x[lead:],
+            x=w.trajectory[w.lead : keep + 1],
             weights=np.concatenate(w.weights[:gone]),
-            first=lead,
-            conditionals=w.smoothed.conditionals,
+            first=w.lead,
+            conditionals=_conditionals(w.nodes),
         )
         return replace(
             w,
-            anchor=Anchor(x[-1], c.R[-1], c.d[-1]),
-            trajectory=w.trajectory[keep:],
+            anchor=Anchor(first.x, first.U, first.u),
+            nodes=w.nodes[keep:],
+            d=w.d[keep:],
             epochs=w.epochs[gone:],
             parts=w.parts[gone:],
             weights=w.weights[gone:],
@@ -182,8 +295,9 @@ class FixedLagEngine:
     def save(self, state: Window) -> dict[str, Array]:
         """The window as plain arrays; its epochs among them."""
         t = np.array(np.nan if state.t is None else state.t)
-        a = state.anchor
-        out = {"t": t, "x": a.x, "W": a.W, "d": a.d, "trajectory": state.trajectory, "P": state.P}
+        a, linearized = state.anchor, np.array([node.x for node in state.nodes])
+        out = {"t": t, "W": a.W, "d": a.d, "anchor": a.x, "x": state.x, "P": state.P}
+        out |= {"linearized": linearized.reshape(-1, len(state.x))}
         out |= {f"weights.{k}": w for k, w in enumerate(state.weights)}
         before = state.parts[0].tables.starts[:1] if state.parts else np.zeros(0)
         return out | {"before": before} | {f"epochs.{k}": v for k, v in pack(state.epochs).items()}
@@ -194,14 +308,20 @@ class FixedLagEngine:
         epochs = unpack({k.removeprefix("epochs."): v for k, v in a.items() if k[:7] == "epochs."})
         first = float(a["before"][0]) if len(a["before"]) else None
         before = [first, *(e.t for e in epochs)]
-        parts = tuple(
-            Assembly(p.layout, p.processes, p.sensors, [epoch], t)
-            for epoch, t in zip(epochs, before, strict=False)
+        window = Window(
+            t=None if np.isnan(a["t"]) else float(a["t"]),
+            anchor=Anchor(a["anchor"], a["W"], a["d"]),
+            x=a["x"],
+            P=a["P"],
+            nodes=tuple(Node(x, a["W"], a["d"]) for x in a["linearized"]),
+            epochs=tuple(epochs),
+            parts=tuple(
+                Assembly(p.layout, p.processes, p.sensors, [epoch], t)
+                for epoch, t in zip(epochs, before, strict=False)
+            ),
+            weights=tuple(a[f"weights.{k}"] for k in range(len(epochs))),
         )
-        weights = tuple(a[f"weights.{k}"] for k in range(len(epochs)))
-        t = None if np.isnan(a["t"]) else float(a["t"])
-        anchor = Anchor(a["x"], a["W"], a["d"])
-        return Window(t, anchor, a["trajectory"], a["P"], tuple(epochs), parts, weights)
+        return _relinearized(window, a["linearized"]) if epochs else window
 
 
 @dataclass(frozen=True)
@@ -227,7 +347,8 @@ class FixedLag:
         x, smoothed_x = np.full((2, count, layout.size), np.nan)
         P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
         seconds, misfit, used, behind = list[float](), 0.0, 0, 0
-        first, last = list[Array](), list[Array]()  # weights, of the newest epoch, and later
+        # Weights: of the newest epoch, as it left, in the end.
+        first, last, final = list[Array](), list[Array](), list[Array]()
         status: Status = "diverged"
         try:
             for k, epoch in enumerate(problem.epochs):
@@ -239,14 +360,15 @@ class FixedLag:
                 misfit, used = misfit + float(done.nis[0]), used + int(done.used[0])
                 first.append(done.weights)
                 if state.left is not None:
-                    end = behind + len(state.left.t)
-                    smoothed_x[behind:end] = state.left.x
-                    smoothed_P[behind:end] = state.left.covariances()
+                    gone = slice(behind, behind + len(state.left.t))
+                    smoothed_x[gone] = state.left.x
+                    smoothed_P[gone] = state.left.covariances()
                     last.append(state.left.weights)
-                    behind = end
-            assert state.smoothed is not None
-            smoothed_x[behind:] = state.trajectory[behind - count :]
-            smoothed_P[behind:] = state.smoothed.conditionals.covariances()[behind - count :]
+                    behind = gone.stop
+            end = engine.solve(state)
+            final = [end.weights]
+            smoothed_x[behind:] = end.x[behind - count :]
+            smoothed_P[behind:] = end.conditionals.covariances()[behind - count :]
             status, message = judge(lost(assembly, np.concatenate(first)), problem, misfit, used)
         except UNSOLVED as error:
             message = str(error)
@@ -258,7 +380,7 @@ class FixedLag:
             x=smoothed_x,
             P=smoothed_P,
             runtime_s=time.perf_counter() - start,
-            **_counts(assembly, [*last, *state.weights]),
+            **_counts(assembly, [*last, *final]),
             **own,
         )
         return Track(
