@@ -110,15 +110,9 @@ class Assembly:
         *,
         checked: bool = False,
     ) -> None:
-        # The compiled loops trust every size: nothing unchecked may reach them.
-        before = [t_before, *(e.t for e in epochs[:-1])]
-        for t, epoch in zip(before, epochs, strict=True) if not checked else ():
-            check_epoch(processes, sensors, epoch, t)
         self.layout = layout
-        self.times = np.array([e.t for e in epochs])
         self.sensor_names = tuple(sensors)
         self._sensors, self._processes = dict(sensors), dict(processes)
-        starts = self.times[:-1] if t_before is None else np.array([t_before, *self.times[:-1]])
         numbers, places = _Store(np.float64), _Store(np.int64)
         sensor_table = np.zeros((len(sensors), 8), dtype=np.int64)
         for i, sensor in enumerate(sensors.values()):
@@ -130,10 +124,8 @@ class Assembly:
                 *places.add(columns),
                 sensor.rows,
             ]
-        observations = self._stack_observations(epochs, numbers)
         process_table = np.zeros((len(processes), 12), dtype=np.int64)
-        intervals = np.zeros((len(starts), len(processes), 2), dtype=np.int64)
-        for i, (name, process) in enumerate(processes.items()):
+        for i, process in enumerate(processes.values()):
             gather, columns = layout.gather(process.advances + process.reads)
             scatter, rows = layout.gather(process.advances)
             process_table[i] = [
@@ -145,13 +137,37 @@ class Assembly:
                 *places.add(scatter),
                 1 + sum(len(c) for c in process.inputs.values()),
             ]
+        self._models = sensor_table, process_table, places.array(), numbers.array()
+        self._take(epochs, t_before, checked)
+
+    def _take(self, epochs: Sequence[Epoch], t_before: float | None, checked: bool) -> None:
+        """Fill the tables with epochs."""
+        # The compiled loops trust every size: nothing unchecked may reach them.
+        before = [t_before, *(e.t for e in epochs[:-1])]
+        for t, epoch in zip(before, epochs, strict=False) if not checked else ():
+            check_epoch(self._processes, self._sensors, epoch, t)
+        self.times = np.array([e.t for e in epochs])
+        starts = self.times[:-1] if t_before is None else np.array([t_before, *self.times[:-1]])
+        sensor_table, process_table, places, constants = self._models
+        numbers = _Store(np.float64)
+        numbers.add(constants)
+        observations = self._stack_observations(epochs, numbers)
+        intervals = np.zeros((len(starts), len(process_table), 2), dtype=np.int64)
+        for i, name in enumerate(self._processes):
             for k, epoch in enumerate(epochs[len(epochs) - len(starts) :]):
                 u = epoch.inputs[name]
                 intervals[k, i] = numbers.add(u)[0], len(u)
         self.tables = Tables(
             *(sensor_table, observations, process_table, intervals),
-            *(np.ascontiguousarray(starts), places.array(), numbers.array()),
+            *(np.ascontiguousarray(starts), places, numbers.array()),
         )
+
+    def again(self, epoch: Epoch, t_before: float | None) -> Assembly:
+        """Another epoch of the same models: what the constructor makes of it, for a third of
+        its cost."""
+        one = copy(self)
+        one._take([epoch], t_before, False)
+        return one
 
     @classmethod
     def of(cls, problem: Problem) -> Assembly:

@@ -60,7 +60,7 @@ def anchor_of(prior: Prior) -> Anchor:
 @jit_as(
     *TABLES,
     *(INDICES, INDICES, INDEX_MATRIX, MATRIX, VECTOR, STACK, VECTOR, MATRIX, MATRIX),
-    *(STACK, STACK, MATRIX, INDICES, VECTOR, INDICES),
+    *(STACK, STACK, MATRIX, STACK, INDICES, VECTOR, INDICES),
 )
 def _sweep(
     sensors: Indices,
@@ -82,13 +82,15 @@ def _sweep(
     R: Array,
     S: Array,
     d: Array,
+    known: Array,
     status: Indices,
     cost: Array,
     failure: Indices,
 ) -> None:
     """Conditionals R, S, d at the trajectory x (N, size), and half the squared residuals.
 
-    damping (N, n): further rows on the diagonal, or (0, n).
+    damping (N, n): further rows on the diagonal, or (0, n). known (N, n, n + 1): gets U, u of
+    each epoch, see `System`; or (0, n, n + 1).
     """
     count, n = d.shape
     most, damped = 0, damping.shape[0] > 0
@@ -136,6 +138,10 @@ def _sweep(
                 a[rows + i, i] = damping[k, i]
             rows += n
         householder(a, n, 0, rows, n + 1)
+        if known.shape[0] > 0:
+            for i in range(n):
+                for j in range(i, n + 1):
+                    known[k, i, j] = a[i, j]
         if k < count - 1:
             process, code = propagate(
                 processes, intervals, starts, places, numbers, k, x[k], x_next, F, Q
@@ -231,13 +237,16 @@ class Conditionals:
 class System:
     """A pass linearised at the trajectory x (N, size) and eliminated.
 
-    cost: half the sum of all squared whitened residuals; status: of the observations.
+    cost: half the sum of all squared whitened residuals; status: of the observations. known
+    (N, n, n + 1), where asked for: U, u of each epoch, of what all up to it tells of its own
+    d, U d - u ~ N(0, I).
     """
 
     x: Array
     cost: float
     status: Indices
     conditionals: Conditionals
+    known: Array
 
 
 def linearize(
@@ -247,22 +256,24 @@ def linearize(
     whiten: Array,
     weight: Array,
     damping: Array | None = None,
+    keep: bool = False,
 ) -> System:
     """Linearise at the trajectory x (N, size) and eliminate.
 
     whiten (N - 1, n, n): of the process noise; weight: of the observations; damping
-    (N, n): diagonals of further rows d_k ~ 0. Raises ModelError or GeometryError when a
-    model cannot be evaluated, EstimationError when the system is not finite or does not
-    determine every epoch.
+    (N, n): diagonals of further rows d_k ~ 0; keep: what was known at each epoch.
+    Raises ModelError or GeometryError when a model cannot be evaluated, EstimationError when
+    the system is not finite or does not determine every epoch.
     """
     count, n = len(x), assembly.layout.dim
     R, S, d = np.empty((count, n, n)), np.empty((count - 1, n, n)), np.empty((count, n))
     status, cost = np.zeros(assembly.observations, dtype=np.int64), np.zeros(1)
-    failure = np.zeros(3, dtype=np.int64)
+    known, failure = np.zeros((count * keep, n, n + 1)), np.zeros(3, dtype=np.int64)
     _sweep(
         *(*assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
         *(assembly.layout.kinds, x, weight, whiten, *anchor.rows(assembly.layout, x[0])),
-        *(np.zeros((0, n)) if damping is None else damping, R, S, d, status, cost, failure),
+        *(np.zeros((0, n)) if damping is None else damping, R, S, d),
+        *(known, status, cost, failure),
     )
     assembly.check(status)
     assembly.check_propagated(failure)
@@ -277,4 +288,4 @@ def linearize(
         raise EstimationError(
             f"the factor graph does not determine {', '.join(bad)} at t = {assembly.times[k]} s"
         )
-    return System(x, float(cost[0]), status, Conditionals(R, S, d))
+    return System(x, float(cost[0]), status, Conditionals(R, S, d), known)

@@ -123,7 +123,7 @@ def test_close_to_the_batch_on_a_tumbling_target(window: str) -> None:
 
 def test_a_window_of_its_own_or_of_the_problem() -> None:
     problem = _linear()
-    assert len(FixedLag().engine(problem).begin().trajectory) == 0
+    assert FixedLag().engine(problem).begin().parts == ()
     for window, expected in ((None, WINDOW), (3.0, 3.0)):
         engine = FixedLag(window).engine(problem)
         state = engine.begin()

@@ -92,9 +92,10 @@ class FilterPass:
             own = np.flatnonzero(sensor == i)
             if not len(own):
                 continue
-            at, begin, counts = np.unique(epoch[own], return_index=True, return_counts=True)
+            begin = np.flatnonzero(np.diff(epoch[own], prepend=-1))
+            at, counts = epoch[own][begin], np.diff(begin, append=len(own))
             v = np.empty(len(own))
-            for count in np.unique(counts):  # epochs of one size at once
+            for count in set(counts.tolist()):  # epochs of one size at once
                 chosen = counts == count
                 places = begin[chosen, None] + np.arange(count)
                 H, r = rows.H[own[places]], rows.r[own[places]]
@@ -110,9 +111,8 @@ def _whitened(S: Array, r: Array) -> Array:
     S = H P H^T + I has no eigenvalue below 1, whatever rounding makes of it.
     """
     w, V = np.linalg.eigh(S)
-    white: Array = np.einsum(
-        "kij,klj,kl,kj->ki", V, V, r, 1 / np.sqrt(np.maximum(w, 1.0)), optimize=True
-    )
+    along = (r[:, None, :] @ V) / np.sqrt(np.maximum(w, 1.0))[:, None, :]
+    white: Array = (V @ along.transpose(0, 2, 1))[:, :, 0]
     return white
 
 

@@ -32,36 +32,21 @@ from relnav_graph.estimators.gating import (
 )
 from relnav_graph.estimators.packing import pack, unpack
 from relnav_graph.problem import SAME_TIME, Epoch, Problem
+from relnav_graph.state import Layout
 from relnav_graph.sweep import Anchor, Conditionals, anchor_of, linearize
 from relnav_graph.track import Status, Track
 
-__all__ = ["FixedLag", "FixedLagEngine", "Left", "Node", "Window"]
+__all__ = ["Chain", "FixedLag", "FixedLagEngine", "Left", "Window"]
 
 Array = NDArray[np.float64]
 #: Length of the window where the problem gives none: so many epochs.
 EPOCHS = 30
 #: How far an estimate may be from where it is linearised: in sigmas of what was known of it
 #: when it was the newest, over all its states together. The first while nothing has left.
-SETTLED, MOVED = 0.01, 0.5
+SETTLED, MOVED = 0.01, 1.0
 #: Rounds of relinearisation, at most, before a step is searched for with damping; each must
 #: halve the distance.
 ROUNDS = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Node:
-    """An epoch linearised at x (size,) and all before it eliminated.
-
-    U (n, n), u (n,): what is known of its d by then, U d - u ~ N(0, I). R, S (n, n), r (n,): of
-    the node before, given this one, R d_before + S d = r; None at the first.
-    """
-
-    x: Array
-    U: Array
-    u: Array
-    R: Array | None = None
-    S: Array | None = None
-    r: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,84 +67,107 @@ class Left:
 
 
 @dataclass(frozen=True, eq=False)
+class Chain:
+    """K epochs linearised at x (K, size), and eliminated.
+
+    known (K, n, n + 1): U, u of each, see `relnav_graph.sweep.System`; conditionals: of each
+    given the next one; d (K, n): the estimates, from x.
+    """
+
+    x: Array
+    known: Array
+    conditionals: Conditionals
+    d: Array
+
+    def summary(self, k: int) -> Anchor:
+        """What all up to epoch k tells of it."""
+        known = self.known[k]
+        return Anchor(self.x[k], np.ascontiguousarray(known[:, :-1]), known[:, -1].copy())
+
+    def estimates(self, layout: Layout, part: slice = slice(None)) -> Array:
+        """The states (K, size), or some of them."""
+        return layout.retract(self.x[part], self.d[part])
+
+    def moved(self) -> Array:
+        """How far each estimate is from where it is linearised (K,); see `MOVED`."""
+        away = self.known[:, :, :-1] @ self.d[:, :, None]
+        distance: Array = np.sqrt(np.square(away).sum(axis=(1, 2)))
+        return distance
+
+    def since(self, k: int) -> Chain:
+        """Without the first k."""
+        c = self.conditionals
+        rest = Conditionals(c.R[k:], c.S[k:], c.d[k:])
+        return Chain(self.x[k:], self.known[k:], rest, self.d[k:])
+
+
+@dataclass(frozen=True, eq=False)
 class Window:
     """The smoother at one epoch: an immutable value.
 
-    nodes: the K states of the window; d (K, n): their estimates, from where they are
-    linearised. anchor: what is known of the first one beforehand. Before anything has left,
-    that is the first epoch's state; then it is that of the newest epoch that has left.
-    x (size,), P (n, n): the newest state. epochs, parts, weights: those in the window, all or
-    the last K - 1. done: the filter's part in the newest epoch; left: what left with it.
+    anchor: what is known of the window's first state beforehand. Before anything has left,
+    that is the first epoch's; then it is that of the newest epoch that has left. x (size,),
+    P (n, n): the newest state. epochs, parts, weights: those in the window; chain: their
+    states, after that of the newest epoch that has left. done: the filter's part in the newest
+    epoch; left: what left with it.
     """
 
     t: float | None
     anchor: Anchor
     x: Array
     P: Array
-    nodes: tuple[Node, ...] = ()
-    d: Array | None = None
     epochs: tuple[Epoch, ...] = ()
     parts: tuple[Assembly, ...] = ()
     weights: tuple[Array, ...] = ()
+    chain: Chain | None = None
+    begun: bool = False
     done: FilterPass | None = None
     left: Left | None = None
 
     @property
     def lead(self) -> int:
-        """1 when the first node is of an epoch that has left, else 0."""
-        return len(self.nodes) - len(self.parts)
+        """1 when an epoch has left, else 0."""
+        return int(self.begun)
 
     @property
     def joined(self) -> Assembly:
-        """The parts as one, for all nodes."""
-        assembly = Assembly.join(self.parts) if len(self.parts) > 1 else self.parts[0]
-        return assembly.preceded() if self.lead else assembly
-
-    @property
-    def trajectory(self) -> Array:
-        """The states of the window (K, size)."""
-        x = np.array([node.x for node in self.nodes]).reshape(-1, len(self.x))
-        return x if self.d is None else self.parts[0].layout.retract(x, self.d)
+        """The parts as one, for all states."""
+        return _joined(self.parts, self.lead)
 
 
-def _conditionals(nodes: Sequence[Node]) -> Conditionals:
-    newest, n = nodes[-1], len(nodes[-1].u)
-    R = np.array([*(node.R for node in nodes[1:]), newest.U])
-    S = np.array([node.S for node in nodes[1:]]).reshape(-1, n, n)
-    return Conditionals(R, S, np.array([*(node.r for node in nodes[1:]), newest.u]))
-
-
-def _node(w: Window, k: int, x: Array, before: Node | None) -> Node:
-    """Node k of a window, linearised at x (size,).
-
-    Raises EstimationError when an observation that counts is impossible there.
-    """
-    i = k - w.lead
-    if i < 0:
-        e, A = w.anchor.rows(w.parts[0].layout, x)
-        return Node(x, A, -e)
-    part, n = w.parts[i], len(w.anchor.d)
-    if before is None:
-        system = linearize(part, w.anchor, x[None], np.zeros((0, n, n)), w.weights[i])
-    else:
-        part, both = part.preceded(), np.array([before.x, x])
-        whiten = part.whitening(part.transition(both[:1])[2])
-        anchor = Anchor(before.x, before.U, before.u)
-        system = linearize(part, anchor, both, whiten, w.weights[i])
+def _linearized(w: Window, x: Array, first: int = 0) -> Chain:
+    """The chain of a window linearised at x (K, size); the states before `first` as they
+    were. Raises EstimationError when an observation that counts is impossible there."""
+    old, anchor, at = w.chain, w.anchor, x
+    if first:
+        assert old is not None
+        anchor = old.summary(first - 1)
+        at = np.concatenate([anchor.x[None], x[first:]])
+    begin = max(first - w.lead, 0)
+    assembly = _joined(w.parts[begin:], w.lead or first)
+    whiten = assembly.whitening(assembly.transition(at[:-1])[2])
+    weights = np.concatenate(w.weights[begin:])
+    system = linearize(assembly, anchor, at, whiten, weights, keep=True)
     if system.status.any():
         raise EstimationError("an observation has become impossible")
-    c = system.conditionals
-    if before is None:
-        return Node(x, c.R[0], c.d[0])
-    return Node(x, c.R[1], c.d[1], c.R[0], c.S[0], c.d[0])
+    known, c = system.known, system.conditionals
+    if first:
+        assert old is not None
+        before, keep = old.conditionals, first - 1
+        known = np.concatenate([old.known[:first], known[1:]])
+        c = Conditionals(
+            np.concatenate([before.R[:keep], c.R]),
+            np.concatenate([before.S[:keep], c.S]),
+            np.concatenate([before.d[:keep], c.d]),
+        )
+        x = np.concatenate([old.x[:first], x[first:]])
+    return Chain(x, known, c, c.solution())
 
 
-def _relinearized(w: Window, x: Array, first: int = 0) -> Window:
-    """The window with its nodes from `first` on linearised at x (K, size), and solved."""
-    nodes = list(w.nodes)
-    for k in range(first, len(nodes)):
-        nodes[k] = _node(w, k, x[k], nodes[k - 1] if k else None)
-    return replace(w, nodes=tuple(nodes), d=_conditionals(nodes).solution())
+def _joined(parts: Sequence[Assembly], preceded: int) -> Assembly:
+    """The parts of a window as one; preceded: whether a state stands before them."""
+    assembly = Assembly.join(parts) if len(parts) > 1 else parts[0]
+    return assembly.preceded() if preceded else assembly
 
 
 class FixedLagEngine:
@@ -191,73 +199,68 @@ class FixedLagEngine:
             assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
         kalman.t, kalman.x, kalman.P = state.t, state.x, state.P
         done = kalman.step(epoch, assembly)  # where to start from, and what the gate rejects
-        newest = Node(kalman.x, np.zeros_like(kalman.P), np.zeros(len(kalman.P)))
         longer = replace(
             state,
             t=epoch.t,
-            nodes=(*state.nodes, newest),
-            d=None if state.d is None else np.vstack([state.d, newest.u]),
             epochs=(*state.epochs, epoch),
             parts=(*state.parts, assembly),
             weights=(*state.weights, done.weights),
         )
-        window = self._extended(longer)
+        window = self._extended(longer, kalman.x)
         if window is None:
-            window = self._solved(longer)
-        assert window.d is not None
-        x = p.layout.retract(window.nodes[-1].x, window.d[-1])
-        inverse = np.linalg.inv(window.nodes[-1].U)
-        P = inverse @ inverse.T
+            window = self._solved(longer, kalman.x)
+        chain = window.chain
+        assert chain is not None
+        x, P = chain.estimates(p.layout, slice(-1, None))[0], _covariance(chain.conditionals.R[-1])
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
         done = replace(done, weights=window.weights[-1])
-        return self._without_old(replace(window, x=x, P=0.5 * (P + P.T), done=done, left=None))
+        return self._without_old(replace(window, x=x, P=P, done=done, left=None))
 
-    def _extended(self, w: Window) -> Window | None:
+    def _extended(self, w: Window, newest: Array) -> Window | None:
         """The window linearised anew only where it must be; None when that is not enough: an
         observation is not to count fully, or the way to the minimum is long."""
-        if self.problem.losses or not all((weights == 1).all() for weights in w.weights):
+        if self.problem.losses or np.concatenate(w.weights).min(initial=1.0) < 1:
             return None
-        limit, first, before = MOVED if w.lead else SETTLED, len(w.nodes) - 1, np.inf
-        x = np.array([node.x for node in w.nodes])
+        layout, old = self.problem.layout, w.chain
+        x = newest[None] if old is None else np.concatenate([old.x, newest[None]])
+        limit, first, before = MOVED if w.begun else SETTLED, len(x) - 1, np.inf
         try:
             for _ in range(ROUNDS):
-                w = _relinearized(w, x, first)
-                assert w.d is not None
-                U = np.array([node.U for node in w.nodes])
-                moved = np.sqrt(np.square(U @ w.d[:, :, None]).sum(axis=(1, 2)))
+                chain = _linearized(w, x, first)
+                w, moved = replace(w, chain=chain), chain.moved()
                 far = np.flatnonzero(moved > limit)
                 if not len(far):
                     return w if self._fits(w) else None
                 if not moved.max() < 0.5 * before:
                     return None
-                first, before, x = int(far[0]), moved.max(), w.trajectory
+                first, before, x = int(far[0]), moved.max(), chain.estimates(layout)
         except UNSOLVED:
             pass
         return None
 
     def _fits(self, w: Window) -> bool:
         """Whether no residual of the window is beyond its gate."""
-        if not self.problem.gates:
+        if not self.problem.gates or w.chain is None:
             return True
-        assembly = w.joined
-        rows = assembly.measure(w.trajectory, np.ones(assembly.observations))
+        assembly, x = w.joined, w.chain.estimates(self.problem.layout)
+        rows = assembly.measure(x, np.ones(assembly.observations))
         return bool((residual_weights(assembly, rows, self.problem.gates, {}) == 1).all())
 
-    def solve(self, w: Window) -> Solution:
-        """The minimum over the window, with weights taken anew and steps damped."""
+    def solve(self, w: Window, x: Array) -> Solution:
+        """The minimum over the window from x (K, size) on, with weights taken anew and steps
+        damped."""
         weights = np.concatenate(w.weights)
-        return solve_gated(
-            w.joined, self.problem, w.trajectory, weights, self.tolerance, w.anchor
-        )
+        return solve_gated(w.joined, self.problem, x, weights, self.tolerance, w.anchor)
 
-    def _solved(self, w: Window) -> Window:
+    def _solved(self, w: Window, newest: Array) -> Window:
         """The window at its minimum. Raises EstimationError when there is none."""
+        old = [] if w.chain is None else [w.chain.estimates(self.problem.layout)]
         try:
-            solution = self.solve(w)
+            solution = self.solve(w, np.concatenate([*old, newest[None]]))
             edges = np.cumsum([part.observations for part in w.parts])[:-1]
-            weights = tuple(np.split(solution.weights, edges))
-            return _relinearized(replace(w, weights=weights), solution.x)
+            w = replace(w, weights=tuple(np.split(solution.weights, edges)))
+            return replace(w, chain=_linearized(w, solution.x))
         except UNSOLVED as error:
             raise EstimationError(
                 f"t = {w.t} s: window of {len(w.parts)} epochs from {w.epochs[0].t} s: {error}"
@@ -270,34 +273,34 @@ class FixedLagEngine:
         else:
             begin = w.epochs[-1].t - self.length - SAME_TIME
             gone = next(k for k, e in enumerate(w.epochs) if e.t >= begin)
-        if not gone or w.d is None:
+        if not gone or w.chain is None:
             return w
         keep = w.lead + gone - 1  # the state that becomes the first
-        first = w.nodes[keep]
         left = Left(
             t=np.array([e.t for e in w.epochs[:gone]]),
-            x=w.trajectory[w.lead : keep + 1],
+            x=w.chain.estimates(self.problem.layout, slice(w.lead, keep + 1)),
             weights=np.concatenate(w.weights[:gone]),
             first=w.lead,
-            conditionals=_conditionals(w.nodes),
+            conditionals=w.chain.conditionals,
         )
         return replace(
             w,
-            anchor=Anchor(first.x, first.U, first.u),
-            nodes=w.nodes[keep:],
-            d=w.d[keep:],
+            anchor=w.chain.summary(keep),
+            chain=w.chain.since(keep),
             epochs=w.epochs[gone:],
             parts=w.parts[gone:],
             weights=w.weights[gone:],
+            begun=True,
             left=left,
         )
 
     def save(self, state: Window) -> dict[str, Array]:
         """The window as plain arrays; its epochs among them."""
         t = np.array(np.nan if state.t is None else state.t)
-        a, linearized = state.anchor, np.array([node.x for node in state.nodes])
+        a = state.anchor
         out = {"t": t, "W": a.W, "d": a.d, "anchor": a.x, "x": state.x, "P": state.P}
-        out |= {"linearized": linearized.reshape(-1, len(state.x))}
+        if state.chain is not None:
+            out["chain"] = state.chain.x
         out |= {f"weights.{k}": w for k, w in enumerate(state.weights)}
         before = state.parts[0].tables.starts[:1] if state.parts else np.zeros(0)
         return out | {"before": before} | {f"epochs.{k}": v for k, v in pack(state.epochs).items()}
@@ -313,15 +316,22 @@ class FixedLagEngine:
             anchor=Anchor(a["anchor"], a["W"], a["d"]),
             x=a["x"],
             P=a["P"],
-            nodes=tuple(Node(x, a["W"], a["d"]) for x in a["linearized"]),
             epochs=tuple(epochs),
             parts=tuple(
                 Assembly(p.layout, p.processes, p.sensors, [epoch], t)
                 for epoch, t in zip(epochs, before, strict=False)
             ),
             weights=tuple(a[f"weights.{k}"] for k in range(len(epochs))),
+            begun=first is not None,
         )
-        return _relinearized(window, a["linearized"]) if epochs else window
+        return replace(window, chain=_linearized(window, a["chain"])) if epochs else window
+
+
+def _covariance(R: Array) -> Array:
+    """(R^T R)^-1, symmetric."""
+    inverse = np.linalg.inv(R)
+    P: Array = inverse @ inverse.T
+    return 0.5 * (P + P.T)
 
 
 @dataclass(frozen=True)
@@ -365,7 +375,8 @@ class FixedLag:
                     smoothed_P[gone] = state.left.covariances()
                     last.append(state.left.weights)
                     behind = gone.stop
-            end = engine.solve(state)
+            assert state.chain is not None
+            end = engine.solve(state, state.chain.estimates(layout))
             final = [end.weights]
             smoothed_x[behind:] = end.x[behind - count :]
             smoothed_P[behind:] = end.conditionals.covariances()[behind - count :]

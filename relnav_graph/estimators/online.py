@@ -35,7 +35,7 @@ from relnav_graph.estimators.health import (
 )
 from relnav_graph.estimators.packing import Repeats, held, merged, pack, unpack, without_repeats
 from relnav_graph.models import Measurement
-from relnav_graph.problem import SAME_TIME, Epoch, Problem, check_epoch
+from relnav_graph.problem import SAME_TIME, Epoch, Problem
 from relnav_graph.registry import find_class
 from relnav_graph.state import Layout
 
@@ -79,6 +79,7 @@ class Online:
         self.problem, self.engine = problem, engine
         self.counts: dict[str, dict[str, int]] = {name: {} for name in problem.sensors}
         self._owner: int | None = None
+        self._models = Assembly(problem.layout, problem.processes, problem.sensors, [])
         self._state = _State(engine.begin(), Monitor.of(problem.sensors))
 
     # --- what it knows ---------------------------------------------------------------------
@@ -167,8 +168,6 @@ class Online:
             raise InputError(f"epoch: found t = {epoch.t} s, expected a finite time")
         kept, repeats = without_repeats(epoch)
         assembly = assembly if kept is epoch else None
-        if assembly is None:
-            check_epoch(self.problem.processes, self.problem.sensors, epoch, t)
         state, found = self._advance(self._state, kept, assembly)
         return self._swap(state, repeats, found)
 
@@ -276,8 +275,7 @@ class Online:
             raise EstimationError("an estimator serves one thread: make one for each")
 
     def _assemble(self, epoch: Epoch, t_before: float | None) -> Assembly:
-        p = self.problem
-        return Assembly(p.layout, p.processes, p.sensors, [epoch], t_before)
+        return self._models.again(epoch, t_before)
 
     def _count(self, sensor: str, reason: str, n: int = 1) -> None:
         counts = self.counts.setdefault(sensor, {})
@@ -299,6 +297,8 @@ class Online:
     ) -> tuple[_State, tuple[Refusal, ...]]:
         """The state with one more epoch, and what was refused of it."""
         with _named(epoch):
+            if assembly is None:
+                assembly = self._assemble(epoch, s.engine.t)
             engine = self.engine.advance(s.engine, epoch, assembly)
         monitor = s.monitor.after(epoch.t, engine.done)
         moments, past = (*s.moments, _Moment(s.engine, s.monitor, epoch)), s.past
