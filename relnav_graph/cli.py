@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import os
 import shlex
+import signal
 import sys
 from typing import Any
 
@@ -28,7 +30,19 @@ COMMANDS = {
 }
 
 
+class _ReaderLeft(Exception):
+    """Standard output is read no more. Not an OSError: click has an answer to that of its own."""
+
+
 class _Lazy(click.Group):
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            code = super().invoke(ctx)
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError as error:
+            raise _ReaderLeft from error
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
 
@@ -52,7 +66,7 @@ def _relnav() -> None:
     """Relative navigation: factor-graph smoothing compared with Kalman filters.
 
     Exit codes: 0 all good; 2 the input is wrong; 3 an estimate is degraded or diverged
-    (results are still written, and marked).
+    (results are still written, and marked); 141 the reader of the output has left.
     """
 
 
@@ -74,8 +88,10 @@ def main(argv: list[str] | None = None) -> Any:
     except RelnavError as error:
         click.echo(f"error: {error}", err=True)
         sys.exit(2)
-    except BrokenPipeError:
-        sys.exit(0)
+    except _ReaderLeft:
+        # Quietly, as a filter does whom SIGPIPE ends; nor may the last flush complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     except OSError as error:
         click.echo(f"error: {error}", err=True)
         sys.exit(2)

@@ -66,6 +66,19 @@ def test_soak_prints_its_marks(
     assert "OK" in out[1]
 
 
+def test_window_accuracy_is_a_fraction_of_a_sigma(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = str(EXPERIMENTS / "zhang2015_close.toml")
+    arguments = [scenario, "--epochs", "60", "--window", "15 s"]
+    monkeypatch.setattr("sys.argv", ["window_accuracy", *arguments])
+    _script("window_accuracy").main()
+    first, *_, last = capsys.readouterr().out.splitlines()
+    largest = float(first.rsplit(" ", 1)[1])
+    assert 0 < largest < 0.1
+    assert "ISAM2" in last
+
+
 def test_benchmark_compares_everything(tmp_path: Path) -> None:
     """At a tiny size, where the figures mean nothing; that solvers agree does."""
     figure = tmp_path / "cost.png"

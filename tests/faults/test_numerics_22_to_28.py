@@ -22,6 +22,7 @@ from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import UNSOLVED
 from relnav_graph.models import DynamicsModel, Measurement
 from relnav_graph.problem import Prior, Problem, make_epochs
+from relnav_graph.robust import Loss
 from relnav_graph.state import RELATIVE_POSITION, Block
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ def _raise(error: BaseException) -> Callable[..., Any]:
 #: Where a step may be struck: before the update, in it, and after it.
 PLACES: dict[str, list[str]] = {
     "iekf": ["ekf.filter_epochs", "health.Monitor.after"],
-    "fixed_lag": ["ekf.filter_epochs", "fixed_lag.solve_gated", "fixed_lag.linearize"],
+    "fixed_lag": ["ekf.filter_epochs", "fixed_lag.linearize", "fixed_lag.solve_gated"],
     "isam2": ["ekf.filter_epochs", "isam2._insert", "isam2.IncrementalSmoother._extend"],
 }
 STRUCK = [(kind, place) for kind, places in PLACES.items() for place in places]
@@ -51,7 +52,8 @@ STRUCK = [(kind, place) for kind, places in PLACES.items() for place in places]
 def test_row_24_a_step_that_fails_changes_nothing(
     kind: str, place: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem = toy()
+    # With a loss, the window is searched for its minimum in every step.
+    problem = toy() if "solve" not in place else replace(toy(), losses={"fix": Loss("huber")})
     one, reference = driven(kind, problem, problem.epochs[:20]), driven(kind, problem)
     before = snapshot(one)
     with monkeypatch.context() as patch:
