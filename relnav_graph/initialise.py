@@ -24,7 +24,7 @@ from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Epoch, Prior, Problem
 from relnav_graph.state import Layout
 
-__all__ = ["Hypothesis", "hypotheses", "initialise"]
+__all__ = ["FRAMES", "Hypothesis", "decide", "hypotheses", "initialise"]
 
 _LOG = logging.getLogger(__name__)
 Array = NDArray[np.float64]
@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 #: Half the squared residuals by which one hypothesis must fit better than the next: the odds
 #: are then e^8, 3000 to 1.
 DECISIVE = 8.0
+#: Epochs over which several hypotheses are told apart.
+FRAMES = 6
 #: A direction is not seen when the frame tells less of it than this fraction of what it tells
 #: of the best seen one, each in units of the prior's sigma.
 UNSEEN = 1e-6
@@ -173,24 +175,31 @@ def _extended(problem: Problem, hypothesis: Hypothesis, frames: int) -> Hypothes
     return Hypothesis(solution.x[0], solution.cost)
 
 
-def initialise(problem: Problem, names: Sequence[str], frames: int = 6) -> Prior:
+def initialise(problem: Problem, names: Sequence[str], frames: int = FRAMES) -> Prior:
+    """The prior that `decide` finds; where there is doubt, that is said."""
+    prior, doubt = decide(problem, names, frames)
+    if doubt:
+        _LOG.warning("%s", doubt)
+    return prior
+
+
+def decide(problem: Problem, names: Sequence[str], frames: int = FRAMES) -> tuple[Prior, str]:
     """The problem's prior with the mean of the blocks `names` taken from the first frames.
 
     The covariance is as it was: it is to be wide beside what the frames say, which are used
     again as measurements. Several hypotheses are told apart over `frames` epochs; where they
-    cannot be, the best is taken, and that is said. Raises EstimationError as `hypotheses`
+    cannot be, the best is taken, and the text says so. Raises EstimationError as `hypotheses`
     does.
     """
-    found = hypotheses(problem, names)
+    found, doubt = hypotheses(problem, names), ""
     if len(found) > 1:
         after = [(_extended(problem, h, frames).cost, h) for h in found]
         after.sort(key=lambda pair: pair[0])
         found = [h for _, h in after]
-        gap = after[1][0] - after[0][0]
-        if not gap > DECISIVE:
-            _LOG.warning(
-                "initialise: %d hypotheses for %s fit the first %d epochs about as well (half the"
-                " squared residuals: %s)",
-                *(len(found), ", ".join(names), frames, [round(c, 1) for c, _ in after]),
+        if not after[1][0] - after[0][0] > DECISIVE:
+            doubt = (
+                f"initialise: {len(found)} hypotheses for {', '.join(names)} fit the first"
+                f" {min(frames, len(problem.epochs))} epochs about as well (half the squared"
+                f" residuals: {[round(c, 1) for c, _ in after]})"
             )
-    return Prior(found[0].x, problem.prior.P)
+    return Prior(found[0].x, problem.prior.P), doubt

@@ -112,6 +112,12 @@ class Scenario:
             self.truth, self.inputs, self.processes, self.sensors, timings, times, seed, run
         )
 
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Blocks whose prior is to be taken from the first measurements."""
+        prior = self.file.prior
+        return tuple(b.name for b in self.layout if prior[b.name].mean == "measured")
+
     def problem(self, recording: Recording, seed: int, run: int = 0) -> Problem:
         """The problem of a recording, with the scenario's prior.
 
@@ -123,9 +129,8 @@ class Scenario:
             self.processes, recording.measurements, recording.inputs, recording.times
         )
         problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
-        measured = [b.name for b in self.layout if self.file.prior[b.name].mean == "measured"]
-        if measured:
-            problem = replace(problem, prior=initialise(problem, measured))
+        if self.measured:
+            problem = replace(problem, prior=initialise(problem, self.measured))
         prior = problem.prior
         for m in epochs[0].measurements:
             reason = wrong_unit(self.sensors[m.sensor], m, self.layout, prior.x, prior.P)
@@ -149,13 +154,8 @@ class Scenario:
     def prior_with(self, means: Mapping[str, Array], t: float) -> Prior:
         """The prior at time t, s, with `means` for blocks whose mean the scenario leaves open.
 
-        Raises InputError when one is missing.
+        Those to be measured may lack one. Raises InputError when another one is missing.
         """
-        unmeasured = [
-            n for n, p in self.file.prior.items() if p.mean == "measured" and n not in means
-        ]
-        if unmeasured:
-            raise InputError(f"{self.name}: the prior of {unmeasured} is to be measured: give it")
         given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
         given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}
         truth = Truth(np.array([t]), {n: value[None] for n, value in means.items()})

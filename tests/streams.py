@@ -81,7 +81,8 @@ def session_of(
     header = header_of(first.encode())
     means = prior_values(header, scenario.layout)
     problem = scenario.problem_at(scenario.prior_with(means, header.t or 0.0))
-    return Session(problem, online(kind, problem), header, options or Options())
+    measured = [name for name in scenario.measured if name not in means]
+    return Session(problem, online(kind, problem), header, options or Options(), measured)
 
 
 def feed(session: Session, lines: list[str], end: bool = True) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from passes import EXPERIMENTS, ZHANG
+from streams import RELNAV
 
 from relnav_graph.cli import COMMANDS, main
 
@@ -285,3 +286,17 @@ def test_output_folder_that_cannot_be(capsys: Capture, tmp_path: Path) -> None:
         assert code == 2
         assert str(tmp_path / "file") in err
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_reader_who_leaves_ends_it_quietly() -> None:
+    """As SIGPIPE ends a filter: 141 to the shell, and not a word."""
+    command = [*RELNAV, "simulate", str(EXPERIMENTS / "zhang2015.toml"), "-o", "-"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline().startswith('{"format"')
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 141

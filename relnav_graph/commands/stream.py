@@ -133,7 +133,8 @@ def _session(scenario: Scenario, kind: str, header: Header, options: Options) ->
     """A session before its first line. Raises InputError when the prior lacks a mean."""
     means = prior_values(header, scenario.layout)
     problem = scenario.problem_at(scenario.prior_with(means, header.t or 0.0))
-    return Session(problem, online(kind, problem), header, options)
+    measured = [name for name in scenario.measured if name not in means]
+    return Session(problem, online(kind, problem), header, options, measured)
 
 
 def _verdict(session: Session, recorder: Recorder, allow_rejects: bool) -> int:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ from relnav_graph.estimators.health import (
 )
 from relnav_graph.estimators.packing import Repeats, held, merged, pack, unpack, without_repeats
 from relnav_graph.models import Measurement
-from relnav_graph.problem import SAME_TIME, Epoch, Problem
+from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
 from relnav_graph.registry import find_class
 from relnav_graph.state import Layout
 
@@ -75,12 +75,20 @@ class Online:
     reason ("invalid", "late", "duplicate"). For one thread: another one is refused.
     """
 
-    def __init__(self, problem: Problem, engine: Engine) -> None:
-        self.problem, self.engine = problem, engine
+    def __init__(self, problem: Problem, kind: str) -> None:
+        estimator = find_class(GROUP, kind)()
+        if not hasattr(estimator, "engine"):
+            raise ModelError(f"estimator {kind!r} is for whole passes; it cannot be driven online")
+        self.problem, self.kind = problem, kind
+        self.engine: Engine = estimator.engine(problem)
         self.counts: dict[str, dict[str, int]] = {name: {} for name in problem.sensors}
         self._owner: int | None = None
         self._models = Assembly(problem.layout, problem.processes, problem.sensors, [])
-        self._state = _State(engine.begin(), Monitor.of(problem.sensors))
+        self._state = _State(self.engine.begin(), Monitor.of(problem.sensors))
+
+    def from_prior(self, prior: Prior) -> Online:
+        """Another one of its kind that begins at a prior."""
+        return Online(replace(self.problem, prior=prior), self.kind)
 
     # --- what it knows ---------------------------------------------------------------------
 
@@ -355,10 +363,7 @@ def online(kind: str, problem: Problem) -> Online:
     problem: without epochs, or they are ignored. Raises ModelError when there is none of
     that kind, or it is for whole passes only.
     """
-    estimator = find_class(GROUP, kind)()
-    if not hasattr(estimator, "engine"):
-        raise ModelError(f"estimator {kind!r} is for whole passes; it cannot be driven online")
-    return Online(problem, estimator.engine(problem))
+    return Online(problem, kind)
 
 
 def _under(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from relnav_graph.errors import InputError
 from relnav_graph.io.lines import InputSample
-from relnav_graph.models import Measurement
-from relnav_graph.problem import SAME_TIME, InputSeries
+from relnav_graph.models import Dynamics, Measurement
+from relnav_graph.problem import SAME_TIME, InputSeries, process_inputs
 
-__all__ = ["InputBuffer", "Waiting", "WaitingEpoch"]
+__all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
 
 Array = NDArray[np.float64]
 
@@ -100,6 +100,35 @@ class InputBuffer:
         """Forget what ends before t, s, but for the newest of it."""
         gone = bisect.bisect_right(self.samples, t, key=lambda s: s.t_end)
         del self.samples[: max(gone - 1, 0)]
+
+
+class Inputs(dict[str, InputBuffer]):
+    """All inputs, by name."""
+
+    def lacking(self, now: float, t: float) -> str:
+        """Which one does not go on from `now` to t, s; "" when all do."""
+        for name, buffer in self.items():
+            reach = buffer.reach(now)
+            if reach < t - SAME_TIME:
+                return f"no inputs: {name} reaches {reach} s only"
+        return ""
+
+    def bridged(self, now: float, t: float) -> Iterator[InputSample | None]:
+        """Fill the gaps between `now` and t, s: what was put there, or None where nothing lies
+        beyond a gap."""
+        for buffer in self.values():
+            while (reach := buffer.reach(now)) < t - SAME_TIME:
+                filled = buffer.bridge(reach)
+                yield filled
+                if filled is None:
+                    return
+
+    def since(
+        self, processes: Mapping[str, Dynamics], now: float, t: float, hold: bool
+    ) -> dict[str, Array]:
+        """Inputs of each process from `now` to t, s; hold: the newest go on where they end."""
+        series = {n: b.held(now, t) if hold else b.series(now, t) for n, b in self.items()}
+        return {name: process_inputs(p, series, now, t) for name, p in processes.items()}
 
 
 @dataclass

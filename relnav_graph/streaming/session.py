@@ -11,8 +11,7 @@ clock, no chance. So the journal needs no more than those.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,49 +29,33 @@ from relnav_graph.io.lines import (
 )
 from relnav_graph.magnitude import wrong_unit
 from relnav_graph.models import Measurement, derived_quantities
-from relnav_graph.problem import SAME_TIME, Epoch, Problem, process_inputs
+from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
 from relnav_graph.streaming import saved
-from relnav_graph.streaming.buffers import InputBuffer, Waiting, WaitingEpoch
+from relnav_graph.streaming.beginning import Beginning
+from relnav_graph.streaming.buffers import InputBuffer, Inputs, Waiting, WaitingEpoch
+from relnav_graph.streaming.options import PATIENCE, Options, Parsed
 
 __all__ = ["Options", "Parsed", "Session"]
 
 Array = NDArray[np.float64]
-Item = Header | Measurement | InputSample | Tick | LineError
 Output = dict[str, Any]
-PATIENCE = 30.0
-
-
-@dataclass(frozen=True)
-class Options:
-    """How a stream is read.
-
-    max_gap: a line whose time is further than this, s, from the newest one heard of is of
-    another clock; patience: how long, s of the stream's time, a measurement waits for
-    inputs before a gap in them is bridged, None for the window's length, or `PATIENCE`
-    without one; predict_to_now: add the state at the newest time
-    heard of.
-    """
-
-    max_gap: float = 3600.0
-    patience: float | None = None
-    predict_to_now: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Parsed:
-    """A line in: its number, where it has one, and what it says or why it says nothing."""
-
-    n: int | None
-    item: Item
 
 
 class Session:
     """Estimates from lines. problem: its models and prior; its epochs are not used.
 
-    online: the estimator, which has taken in nothing yet; header: of the stream.
+    online: the estimator, which has taken in nothing yet; header: of the stream; measured:
+    blocks whose prior is to be taken from the first epochs.
     """
 
-    def __init__(self, problem: Problem, online: Online, header: Header, options: Options) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        online: Online,
+        header: Header,
+        options: Options,
+        measured: Sequence[str] = (),
+    ) -> None:
         self.problem, self.online, self.header, self.options = problem, online, header, options
         self.columns = {k: v for p in problem.processes.values() for k, v in p.inputs.items()}
         self.rejected: dict[str, dict[str, int]] = {}
@@ -82,12 +65,14 @@ class Session:
         self._patience = options.patience or problem.window or PATIENCE
         self._derived = derived_quantities(problem.layout)
         self._waiting = Waiting()
-        self._inputs = {name: InputBuffer(name) for name in self.columns}
+        self._inputs = Inputs({name: InputBuffer(name) for name in self.columns})
         self._heard = -np.inf
         self._last = -1  # number of the last line
         self._notes: list[dict[str, Any]] = []  # rejected since the last line out
         self._fits: set[str] = set()  # sensors whose unit is right
         self._bridged = -np.inf  # end of the last gap in the inputs that was bridged
+        self._beginning = Beginning(problem, measured) if measured else None
+        self._doubt = ""  # of the prior that was measured
         if header.t is not None:
             self._heard = header.t
             self._waiting.at(header.t, header.t)
@@ -131,12 +116,13 @@ class Session:
     def end(self) -> list[Output]:
         """The end of the stream: refuse what still waits; the last line, if anything is left
         to say."""
+        out = self._begun() if self._beginning is not None and self._beginning.epochs else []
         status, message = self.status, "the end of the stream"
         for epoch in self._waiting.epochs:
             status, message = "LOST", self._lacking(epoch.t)
             self._refuse(epoch, message)
         self._waiting.epochs.clear()
-        return [self._line(self.online.t, status, message, None)] if self._notes else []
+        return [*out, self._line(self.online.t, status, message, None)] if self._notes else out
 
     def _reject(self, sensor: str | None, t: float | None, id: int | None, reason: str) -> None:
         counts = self.rejected.setdefault(sensor or "(unnamed)", {})
@@ -202,6 +188,11 @@ class Session:
 
     # --- epochs --------------------------------------------------------------------------
 
+    @property
+    def _reached(self) -> float | None:
+        """Time of the newest epoch taken in, or held back, s."""
+        return self.online.t if self._beginning is None else self._beginning.t
+
     def _advance(self, everything: bool) -> list[Output]:
         """Take in the epochs that are complete, in order of time."""
         out = []
@@ -209,7 +200,7 @@ class Session:
             epoch = self._waiting.epochs[0]
             if not everything and epoch.arrival >= self._heard - SAME_TIME:
                 break
-            now = self.online.t
+            now = self._reached
             if now is not None and epoch.t > now and self._lacking(epoch.t):
                 if self._heard - epoch.t <= self._patience:
                     break
@@ -223,39 +214,53 @@ class Session:
 
     def _lacking(self, t: float) -> str:
         """Which input does not reach t, s; "" when all do."""
-        now = self.online.t
-        for name, buffer in self._inputs.items() if now is not None else ():
-            reach = buffer.reach(float(now or 0.0))
-            if reach < t - SAME_TIME:
-                return f"no inputs: {name} reaches {reach} s only"
-        return ""
+        now = self._reached
+        return "" if now is None else self._inputs.lacking(now, t)
 
     def _bridge(self, t: float) -> bool:
         """Fill the gaps of the inputs up to t; whether that is possible."""
-        now = float(self.online.t or 0.0)
-        for name, buffer in self._inputs.items():
-            while (reach := buffer.reach(now)) < t - SAME_TIME:
-                filled = buffer.bridge(reach)
-                if filled is None:
-                    return False
-                self._bridged = max(self._bridged, filled.t_end)
-                self._reject(
-                    name,
-                    filled.t_end,
-                    None,
-                    f"gap: nothing from {filled.t_start} s to {filled.t_end} s; bridged with the"
-                    " mean of its neighbours",
-                )
+        for filled in self._inputs.bridged(float(self._reached or 0.0), t):
+            if filled is None:
+                return False
+            self._bridged = max(self._bridged, filled.t_end)
+            self._reject(
+                filled.name,
+                filled.t_end,
+                None,
+                f"gap: nothing from {filled.t_start} s to {filled.t_end} s; bridged with the"
+                " mean of its neighbours",
+            )
         return True
 
     def _since(self, now: float, t: float, hold: bool = False) -> dict[str, Array]:
         """Inputs of each process from the newest epoch on to t."""
-        series = {
-            name: b.held(now, t) if hold else b.series(now, t) for name, b in self._inputs.items()
-        }
-        return {n: process_inputs(p, series, now, t) for n, p in self.problem.processes.items()}
+        return self._inputs.since(self.problem.processes, now, t, hold)
+
+    def _begin(self, epoch: WaitingEpoch, beginning: Beginning) -> list[Output]:
+        """Take an epoch before there is an estimate."""
+        now = beginning.t
+        try:
+            inputs = {} if now is None or epoch.t <= now else self._since(now, epoch.t)
+            enough = beginning.take(Epoch(epoch.t, tuple(epoch.measurements), inputs))
+        except (RelnavError, np.linalg.LinAlgError) as error:
+            self._refuse(epoch, str(error))
+            return [self._line(epoch.t, "LOST", str(error), None)]
+        return self._begun() if enough else []
+
+    def _begun(self) -> list[Output]:
+        """Take in what was held back, from the prior that it gives."""
+        assert self._beginning is not None
+        held, (prior, self._doubt) = self._beginning.epochs, self._beginning.prior()
+        self._beginning, self.online = None, self.online.from_prior(prior)
+        self.problem = self.online.problem
+        out = list[Output]()
+        for e in held:
+            out += self._estimate(WaitingEpoch(e.t, e.t, list(e.measurements)))
+        return out
 
     def _estimate(self, epoch: WaitingEpoch) -> list[Output]:
+        if self._beginning is not None:
+            return self._begin(epoch, self._beginning)
         now, measurements = self.online.t, tuple(epoch.measurements)
         try:
             if now is not None and epoch.t <= now + SAME_TIME:
@@ -304,6 +309,9 @@ class Session:
         status, message = found.status, found.message
         if status == "OK" and found.t <= self._bridged + self._patience:
             status, message = "DEGRADED", f"the inputs had a gap until {self._bridged} s"
+        if self._doubt:
+            status = "DEGRADED" if status == "OK" else status
+            message = "; ".join(filter(None, [message, self._doubt]))
         return self._line(found.t, status, message, (found.x, found.P))
 
     def _without(self, t: float, reason: str) -> Output:
@@ -358,14 +366,26 @@ class Session:
             "notes": self._notes,
             "fits": sorted(self._fits),
             "bridged": self._bridged,
+            "doubt": self._doubt,
             "inputs": {name: saved.samples(b.samples) for name, b in self._inputs.items()},
             "waiting": saved.waiting(self._waiting.epochs),
         }
-        return saved.pack(own, self.online.state())
+        prior, b = self.problem.prior, self._beginning
+        own["begun"] = b is None
+        first = {"x": prior.x, "P": prior.P} if b is None else b.save()
+        arrays = {f"beginning.{name}": array for name, array in first.items()}
+        return saved.pack(own, {**self.online.state(), **arrays})
 
     def load(self, data: bytes) -> None:
         """Be the session that gave `data`; for one that has taken in nothing yet."""
         own, arrays = saved.unpack(data)
+        first = {k[10:]: v for k, v in arrays.items() if k.startswith("beginning.")}
+        if not own["begun"] and self._beginning is not None:
+            self._beginning.load(first)
+        elif self._beginning is not None:
+            self.online = self.online.from_prior(Prior(first["x"], first["P"]))
+            self._beginning, self.problem = None, self.online.problem
+        self._doubt = own["doubt"]
         self.online.restore(arrays)
         self.rejected, self.seq, self.status = own["rejected"], own["seq"], own["status"]
         self.lines, self._heard, self._last = own["lines"], own["heard"], own["last"]

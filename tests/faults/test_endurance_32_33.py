@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from online_passes import KINDS, driven, toy
 from passes import FIX, ONE_ID, PRIOR, PROCESSES
 
+from relnav_graph import sweep
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators import fixed_lag
@@ -43,7 +44,7 @@ def _fixes() -> Problem:
 def test_row_32_twenty_thousand_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory is flat, and so is the work: epochs in the window, Gauss-Newton steps, rows."""
     problem, work = _fixes(), list[int]()
-    linearize = fixed_lag.linearize
+    linearize = sweep.linearize
 
     def counted(assembly: Assembly, *arguments: Any, **options: Any) -> Any:
         work[-1] += int(assembly.row_offsets[-1])

@@ -138,7 +138,6 @@ def test_row_05_quaternions_q_and_minus_q() -> None:
     np.testing.assert_allclose(again, R, atol=1e-15)
 
 
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_row_05_lines_of_sight_are_normalised_within_tolerance(kind: str) -> None:
     problem, _ = zhang(6)
@@ -149,5 +148,3 @@ def test_row_05_lines_of_sight_are_normalised_within_tolerance(kind: str) -> Non
         one.admit(m.sensor, m.t, 1.01 * m.z, m.ids)
     a = one.step(replace(problem.epochs[5], measurements=(scaled,)))
     assert in_sigmas(problem.layout, a, other.step(problem.epochs[5])) < 1e-6
-
-

@@ -1,0 +1,89 @@
+"""The first epochs of a stream whose prior is to be measured.
+
+Each epoch is tried until one suffices; it says what is missing in those that do not. Where one
+leaves several hypotheses, the next few are held back, until they tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.estimators.packing import merged, pack, unpack
+from relnav_graph.initialise import FRAMES, decide, hypotheses
+from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
+
+__all__ = ["Beginning"]
+
+Array = NDArray[np.float64]
+
+
+class Beginning:
+    """What is there before the first estimate.
+
+    names: blocks to be measured; t: time of the newest epoch taken, s; epochs: those held
+    back, from the first that suffices on. The prior of the other blocks holds at the first
+    epoch taken, and moves on with the processes until one suffices.
+    """
+
+    def __init__(self, problem: Problem, names: Sequence[str]) -> None:
+        self.problem, self.names = problem, tuple(names)
+        self.t: float | None = None
+        self.epochs: list[Epoch] = []
+
+    def take(self, epoch: Epoch) -> bool:
+        """Take an epoch, with the inputs since the one before; whether there is enough now.
+
+        Raises EstimationError, naming what is missing, when it cannot be the first.
+        """
+        if self.epochs and epoch.t <= self.epochs[-1].t + SAME_TIME:
+            for m in epoch.measurements:
+                self.epochs = merged(self.epochs, m)
+        elif self.epochs:
+            self.epochs.append(epoch)
+            self.t = epoch.t
+        else:
+            self._move_to(epoch)
+            first = replace(epoch, inputs={})
+            single = len(hypotheses(self._with([first]), self.names)) == 1
+            self.epochs = [first]
+            return single
+        return len(self.epochs) >= FRAMES
+
+    def prior(self) -> tuple[Prior, str]:
+        """At the first of the epochs held back; what speaks against it, or ""."""
+        return decide(self._with(self.epochs), self.names)
+
+    def _with(self, epochs: Sequence[Epoch]) -> Problem:
+        return replace(self.problem, epochs=tuple(epochs))
+
+    def _move_to(self, epoch: Epoch) -> None:
+        """Carry the prior to an epoch's time."""
+        if self.t is not None:
+            p, ahead = self.problem, Epoch(epoch.t, (), epoch.inputs)
+            assembly = Assembly(p.layout, p.processes, p.sensors, [ahead], self.t)
+            x, F, Q = assembly.transition(p.prior.x[None])
+            P = F[0] @ p.prior.P @ F[0].T + Q[0]
+            self.problem = replace(p, prior=Prior(x[0], 0.5 * (P + P.T)))
+        self.t = epoch.t
+
+    def save(self) -> dict[str, Array]:
+        """As plain arrays."""
+        prior = self.problem.prior
+        t = np.array(np.nan if self.t is None else self.t)
+        return {"t": t, "x": prior.x, "P": prior.P} | {
+            f"epochs.{name}": array for name, array in pack(self.epochs).items()
+        }
+
+    def load(self, arrays: Mapping[str, Array]) -> None:
+        """Be what gave `arrays`."""
+        t = float(arrays["t"])
+        self.t = None if np.isnan(t) else t
+        self.problem = replace(self.problem, prior=Prior(arrays["x"], arrays["P"]))
+        self.epochs = unpack(
+            {k.removeprefix("epochs."): v for k, v in arrays.items() if k.startswith("epochs.")}
+        )

@@ -1,0 +1,38 @@
+"""How a stream is read, and what a line of it says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from relnav_graph.io.lines import Header, InputSample, LineError, Tick
+from relnav_graph.models import Measurement
+
+__all__ = ["PATIENCE", "Options", "Parsed"]
+
+Item = Header | Measurement | InputSample | Tick | LineError
+#: Where neither the options nor the problem say how long to wait for inputs, s.
+PATIENCE = 30.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a stream is read.
+
+    max_gap: a line whose time is further than this, s, from the newest one heard of is of
+    another clock; patience: how long, s of the stream's time, a measurement waits for
+    inputs before a gap in them is bridged, None for the window's length, or `PATIENCE`
+    without one; predict_to_now: add the state at the newest time
+    heard of.
+    """
+
+    max_gap: float = 3600.0
+    patience: float | None = None
+    predict_to_now: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Parsed:
+    """A line in: its number, where it has one, and what it says or why it says nothing."""
+
+    n: int | None
+    item: Item
