@@ -218,9 +218,9 @@ class FixedLagEngine:
         return self._without_old(replace(window, x=x, P=P, done=done, left=None))
 
     def _extended(self, w: Window, newest: Array) -> Window | None:
-        """The window linearised anew only where it must be; None when that is not enough: an
-        observation is not to count fully, or the way to the minimum is long."""
-        if self.problem.losses or np.concatenate(w.weights).min(initial=1.0) < 1:
+        """The window linearised anew only where it must be; None when that is not enough:
+        another observation is to count, or not, or the way to the minimum is long."""
+        if self.problem.losses:  # each step changes every weight a little
             return None
         layout, old = self.problem.layout, w.chain
         x = newest[None] if old is None else np.concatenate([old.x, newest[None]])
@@ -240,12 +240,14 @@ class FixedLagEngine:
         return None
 
     def _fits(self, w: Window) -> bool:
-        """Whether no residual of the window is beyond its gate."""
-        if not self.problem.gates or w.chain is None:
+        """Whether the gates, by the residuals of the window, leave out what is left out."""
+        before = np.concatenate(w.weights)
+        if w.chain is None or (not self.problem.gates and before.min(initial=1.0) == 1):
             return True
         assembly, x = w.joined, w.chain.estimates(self.problem.layout)
         rows = assembly.measure(x, np.ones(assembly.observations))
-        return bool((residual_weights(assembly, rows, self.problem.gates, {}) == 1).all())
+        weights = residual_weights(assembly, rows, self.problem.gates, {})
+        return bool((weights == before).all())
 
     def solve(self, w: Window, x: Array) -> Solution:
         """The minimum over the window from x (K, size) on, with weights taken anew and steps
@@ -254,7 +256,8 @@ class FixedLagEngine:
         return solve_gated(w.joined, self.problem, x, weights, self.tolerance, w.anchor)
 
     def _solved(self, w: Window, newest: Array) -> Window:
-        """The window at its minimum. Raises EstimationError when there is none."""
+        """The window at its minimum, reached from afar. Raises EstimationError when there is
+        none."""
         old = [] if w.chain is None else [w.chain.estimates(self.problem.layout)]
         try:
             solution = self.solve(w, np.concatenate([*old, newest[None]]))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from online_passes import KINDS, driven, fresh, in_sigmas, zhang
-from passes import RANGER, ZHANG, differences, stored, toy_measurements, toy_problem
+from passes import EXPERIMENTS, RANGER, ZHANG, differences, stored, toy_measurements, toy_problem
 
 from relnav_graph.estimators import run_estimator
 from relnav_graph.metrics import score
@@ -140,6 +140,41 @@ def test_row_17_thirty_percent_outliers_on_the_beacons(robust: tuple[str, ...]) 
     rmse, status = _errors("batch", *STRUCK, *robust)["smoothed"]
     assert status == "ok"
     assert rmse < 1.5 * clean
+
+
+@pytest.mark.parametrize("kind", ["batch", "isam2", "fixed_lag"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_row_17_smoothers_with_thirty_percent_outliers(kind: str, seed: int) -> None:
+    """Close by, under a gate alone: at most 1.5 times the smoothed error without them."""
+    options = ("time.epochs=100", 'online.window="30 s"')
+    rmse = list[float]()
+    for settings in ((), (*STRUCK, GATED)):
+        scenario = load_scenario(EXPERIMENTS / "zhang2015_close.toml", [*options, *settings])
+        recording = scenario.simulate(seed)
+        track = run_estimator(kind, scenario.problem(recording, seed))
+        smoothed = track.smoothed or track
+        assert smoothed.status == "ok", smoothed.message
+        states = score(smoothed, recording.truth, derived_quantities(scenario.layout)).states
+        rmse.append(states["relative_attitude"].rmse or np.inf)
+    assert rmse[1] < 1.5 * rmse[0]
+
+
+def test_row_17_one_gate_for_filter_and_graph() -> None:
+    """Of the same fixes, of which 30 % are wrong, all reject the same."""
+    rng, ms = np.random.default_rng(7), list[Measurement]()
+    wrong = 0
+    for m in toy_measurements():
+        if m.sensor == "fix":
+            hit = rng.random() < 0.3
+            wrong += hit
+            ms.append(replace(m, z=m.z + hit * rng.choice((-20.0, 20.0), 3)))
+    problem = toy_problem(ms, gates={"fix": 0.9999})
+    assert wrong > 5
+    for kind in ("ekf", "iekf", "batch", "isam2", "fixed_lag"):
+        track = run_estimator(kind, problem)
+        assert track.status == "ok", track.message
+        for row in filter(None, (track, track.smoothed)):
+            assert row.rejected == {"fix": wrong, "ranger": 0}, row.name
 
 
 def test_row_17_filter_and_graph_under_the_same_gate() -> None:
