@@ -8,6 +8,12 @@ What has left the window stands in one linear summary at its start, at the linea
 which it left. So the estimate is the full batch's over all that was seen, up to the
 relinearisation of what has left, or has moved by less than `MOVED` sigma; on a linear problem it
 is the same. Cost and memory of a step are those of the window, for ever.
+
+Why not GTSAM's ISAM2 with a constrained ordering and `marginalizeLeaves`: on the same rows it
+gives the same numbers (`tests/test_fixed_lag.py`) and takes 1.8 times as long, without
+relinearising anything (2.24 ms a step, median, against 1.24 ms; on average 2.25 against 1.94).
+Of what keeping linearisations costs, 0.007 sigma in the median and 0.036 at most, the same
+command tells: `python experiments/window_accuracy.py experiments/zhang2015_close.toml`.
 """
 
 from __future__ import annotations
