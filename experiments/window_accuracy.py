@@ -20,16 +20,17 @@ from threadpoolctl import threadpool_limits
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.chain import epoch_factor, interval_factor
-from relnav_graph.estimators.fixed_lag import FixedLag, Window
+from relnav_graph.estimators.fixed_lag import FixedLag, FixedLagEngine
+from relnav_graph.estimators.window import Window
 from relnav_graph.problem import Problem
 from relnav_graph.scenario import load_scenario
 from relnav_graph.sweep import anchor_of
 
 
-def distance(problem: Problem, engine: object, w: Window) -> float:
+def distance(problem: Problem, engine: FixedLagEngine, w: Window) -> float:
     """From the newest estimate to the window's minimum, in sigmas."""
     assert w.chain is not None
-    best = engine.solve(w, w.chain.estimates(problem.layout))  # type: ignore[attr-defined]
+    best = engine.solve(w, w.chain.estimates(problem.layout))
     d = problem.layout.local(best.x[-1], w.x)
     return float(np.linalg.norm(best.conditionals.R[-1] @ d))
 

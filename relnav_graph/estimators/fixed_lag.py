@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
+from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter, judge
 from relnav_graph.estimators.gating import (
     count_downweighted,
     count_rejected,
@@ -37,12 +37,12 @@ from relnav_graph.estimators.gating import (
     residual_weights,
 )
 from relnav_graph.estimators.packing import pack, unpack
+from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.problem import SAME_TIME, Epoch, Problem
-from relnav_graph.state import Layout
-from relnav_graph.sweep import Anchor, Conditionals, anchor_of, linearize
+from relnav_graph.sweep import Anchor, anchor_of
 from relnav_graph.track import Status, Track
 
-__all__ = ["Chain", "FixedLag", "FixedLagEngine", "Left", "Window"]
+__all__ = ["FixedLag", "FixedLagEngine"]
 
 Array = NDArray[np.float64]
 #: Length of the window where the problem gives none: so many epochs.
@@ -53,127 +53,6 @@ SETTLED, MOVED = 0.01, 1.0
 #: Rounds of relinearisation, at most, before a step is searched for with damping; each must
 #: halve the distance.
 ROUNDS = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Left:
-    """Epochs that left a window together: t (m,) s, x (m, size), weights of their
-    observations. Their covariances wait to be asked for: they cost a pass back through the
-    whole window."""
-
-    t: Array
-    x: Array
-    weights: Array
-    first: int
-    conditionals: Conditionals
-
-    def covariances(self) -> Array:
-        """P (m, n, n)."""
-        return self.conditionals.covariances()[self.first : self.first + len(self.t)]
-
-
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """K epochs linearised at x (K, size), and eliminated.
-
-    known (K, n, n + 1): U, u of each, see `relnav_graph.sweep.System`; conditionals: of each
-    given the next one; d (K, n): the estimates, from x.
-    """
-
-    x: Array
-    known: Array
-    conditionals: Conditionals
-    d: Array
-
-    def summary(self, k: int) -> Anchor:
-        """What all up to epoch k tells of it."""
-        known = self.known[k]
-        return Anchor(self.x[k], np.ascontiguousarray(known[:, :-1]), known[:, -1].copy())
-
-    def estimates(self, layout: Layout, part: slice = slice(None)) -> Array:
-        """The states (K, size), or some of them."""
-        return layout.retract(self.x[part], self.d[part])
-
-    def moved(self) -> Array:
-        """How far each estimate is from where it is linearised (K,); see `MOVED`."""
-        away = self.known[:, :, :-1] @ self.d[:, :, None]
-        distance: Array = np.sqrt(np.square(away).sum(axis=(1, 2)))
-        return distance
-
-    def since(self, k: int) -> Chain:
-        """Without the first k."""
-        c = self.conditionals
-        rest = Conditionals(c.R[k:], c.S[k:], c.d[k:])
-        return Chain(self.x[k:], self.known[k:], rest, self.d[k:])
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """The smoother at one epoch: an immutable value.
-
-    anchor: what is known of the window's first state beforehand. Before anything has left,
-    that is the first epoch's; then it is that of the newest epoch that has left. x (size,),
-    P (n, n): the newest state. epochs, parts, weights: those in the window; chain: their
-    states, after that of the newest epoch that has left. done: the filter's part in the newest
-    epoch; left: what left with it.
-    """
-
-    t: float | None
-    anchor: Anchor
-    x: Array
-    P: Array
-    epochs: tuple[Epoch, ...] = ()
-    parts: tuple[Assembly, ...] = ()
-    weights: tuple[Array, ...] = ()
-    chain: Chain | None = None
-    begun: bool = False
-    done: FilterPass | None = None
-    left: Left | None = None
-
-    @property
-    def lead(self) -> int:
-        """1 when an epoch has left, else 0."""
-        return int(self.begun)
-
-    @property
-    def joined(self) -> Assembly:
-        """The parts as one, for all states."""
-        return _joined(self.parts, self.lead)
-
-
-def _linearized(w: Window, x: Array, first: int = 0) -> Chain:
-    """The chain of a window linearised at x (K, size); the states before `first` as they
-    were. Raises EstimationError when an observation that counts is impossible there."""
-    old, anchor, at = w.chain, w.anchor, x
-    if first:
-        assert old is not None
-        anchor = old.summary(first - 1)
-        at = np.concatenate([anchor.x[None], x[first:]])
-    begin = max(first - w.lead, 0)
-    assembly = _joined(w.parts[begin:], w.lead or first)
-    whiten = assembly.whitening(assembly.transition(at[:-1])[2])
-    weights = np.concatenate(w.weights[begin:])
-    system = linearize(assembly, anchor, at, whiten, weights, keep=True)
-    if system.status.any():
-        raise EstimationError("an observation has become impossible")
-    known, c = system.known, system.conditionals
-    if first:
-        assert old is not None
-        before, keep = old.conditionals, first - 1
-        known = np.concatenate([old.known[:first], known[1:]])
-        c = Conditionals(
-            np.concatenate([before.R[:keep], c.R]),
-            np.concatenate([before.S[:keep], c.S]),
-            np.concatenate([before.d[:keep], c.d]),
-        )
-        x = np.concatenate([old.x[:first], x[first:]])
-    return Chain(x, known, c, c.solution())
-
-
-def _joined(parts: Sequence[Assembly], preceded: int) -> Assembly:
-    """The parts of a window as one; preceded: whether a state stands before them."""
-    assembly = Assembly.join(parts) if len(parts) > 1 else parts[0]
-    return assembly.preceded() if preceded else assembly
 
 
 class FixedLagEngine:
@@ -233,7 +112,7 @@ class FixedLagEngine:
         limit, first, before = MOVED if w.begun else SETTLED, len(x) - 1, np.inf
         try:
             for _ in range(ROUNDS):
-                chain = _linearized(w, x, first)
+                chain = linearized(w, x, first)
                 w, moved = replace(w, chain=chain), chain.moved()
                 far = np.flatnonzero(moved > limit)
                 if not len(far):
@@ -269,7 +148,7 @@ class FixedLagEngine:
             solution = self.solve(w, np.concatenate([*old, newest[None]]))
             edges = np.cumsum([part.observations for part in w.parts])[:-1]
             w = replace(w, weights=tuple(np.split(solution.weights, edges)))
-            return replace(w, chain=_linearized(w, solution.x))
+            return replace(w, chain=linearized(w, solution.x))
         except UNSOLVED as error:
             raise EstimationError(
                 f"t = {w.t} s: window of {len(w.parts)} epochs from {w.epochs[0].t} s: {error}"
@@ -333,7 +212,7 @@ class FixedLagEngine:
             weights=tuple(a[f"weights.{k}"] for k in range(len(epochs))),
             begun=first is not None,
         )
-        return replace(window, chain=_linearized(window, a["chain"])) if epochs else window
+        return replace(window, chain=linearized(window, a["chain"])) if epochs else window
 
 
 def _covariance(R: Array) -> Array:

@@ -17,7 +17,7 @@ from passes import FIX, ONE_ID, PRIOR, PROCESSES
 from relnav_graph import sweep
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators import fixed_lag
+from relnav_graph.estimators import window
 from relnav_graph.estimators.fixed_lag import FixedLagEngine
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Problem, make_epochs
@@ -50,7 +50,7 @@ def test_row_32_twenty_thousand_steps(monkeypatch: pytest.MonkeyPatch) -> None:
         work[-1] += int(assembly.row_offsets[-1])
         return linearize(assembly, *arguments, **options)
 
-    monkeypatch.setattr(fixed_lag, "linearize", counted)
+    monkeypatch.setattr(window, "linearize", counted)
     engine, whole = FixedLagEngine(problem, WINDOW), Assembly.of(problem)
     state, before = engine.begin(), 0
     for k, epoch in enumerate(problem.epochs):
