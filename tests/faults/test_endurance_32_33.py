@@ -42,7 +42,7 @@ def _fixes() -> Problem:
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
 def test_row_32_twenty_thousand_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory is flat, and so is the work: epochs in the window, Gauss-Newton steps, rows."""
+    """Memory is flat, and so is the work: epochs in the window, rows linearised."""
     problem, work = _fixes(), list[int]()
     linearize = sweep.linearize
 
