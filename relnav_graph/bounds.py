@@ -79,7 +79,7 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     a system that does not determine every epoch.
     """
     layout = problem.layout
-    assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
+    assembly = Assembly.of(problem)
     weights = np.ones(assembly.observations)
     rows = assembly.measure(x, weights)
     _, F, Q = assembly.transition(x[:-1])

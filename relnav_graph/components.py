@@ -118,8 +118,7 @@ def noise_residuals(
     rng: for the coupling of the groups, None to leave that out. Raises GeometryError,
     ModelError and EstimationError where the trajectory cannot be linearised.
     """
-    layout = problem.layout
-    assembly = Assembly(layout, problem.processes, problem.sensors, problem.epochs)
+    assembly = Assembly.of(problem)
     measured = assembly.measure(x, np.ones(assembly.observations))
     weights = residual_weights(assembly, measured, problem.gates, problem.losses)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])

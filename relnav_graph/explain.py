@@ -253,7 +253,7 @@ def explain(
     Raises what :func:`relnav_graph.bounds.bounds` raises.
     """
     bound = bounds(problem, x)
-    assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
+    assembly = Assembly.of(problem)
     Q = assembly.transition(x[:-1])[2]
     return {
         "schema": 1,
