@@ -143,8 +143,8 @@ class Assembly:
     def _take(self, epochs: Sequence[Epoch], t_before: float | None, checked: bool) -> None:
         """Fill the tables with epochs."""
         # The compiled loops trust every size: nothing unchecked may reach them.
-        before = [t_before, *(e.t for e in epochs[:-1])]
-        for t, epoch in zip(before, epochs, strict=False) if not checked else ():
+        before = [t_before, *(e.t for e in epochs)][:-1]
+        for t, epoch in zip(before, epochs, strict=True) if not checked else ():
             check_epoch(self._processes, self._sensors, epoch, t)
         self.times = np.array([e.t for e in epochs])
         starts = self.times[:-1] if t_before is None else np.array([t_before, *self.times[:-1]])
@@ -339,6 +339,12 @@ class Assembly:
         if code < 0:
             raise ModelError(f"{where}: the kernel {loops.BROKEN[code]}")
         raise GeometryError(f"{where}: {process.failure(code)}")
+
+    def predict(self, x: Array, P: Array) -> tuple[Array, Array]:
+        """x (size,) and P (n, n) at the end of the only interval. Raises as `transition`."""
+        ahead, F, Q = self.transition(x[None])
+        P = F[0] @ P @ F[0].T + Q[0]
+        return ahead[0], 0.5 * (P + P.T)
 
     def transition(self, x: Array) -> tuple[Array, Array, Array]:
         """x_next (M, size), F and Q (M, n, n) of all intervals, from x (M, size).

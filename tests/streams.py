@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from relnav_graph.estimators.online import online
-from relnav_graph.io.lines import header_of, prior_values, recording_lines
+from relnav_graph.commands.stream import new_session
+from relnav_graph.io.lines import header_of, recording_lines
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.streaming.session import Options, Session
 
@@ -78,11 +78,7 @@ def lines_of(scenario: Scenario, seed: int | None = None) -> list[str]:
 def session_of(
     scenario: Scenario, first: str, kind: str = "fixed_lag", options: Options | None = None
 ) -> Session:
-    header = header_of(first.encode())
-    means = prior_values(header, scenario.layout)
-    problem = scenario.problem_at(scenario.prior_with(means, header.t or 0.0))
-    measured = [name for name in scenario.measured if name not in means]
-    return Session(problem, online(kind, problem), header, options or Options(), measured)
+    return new_session(scenario, kind, header_of(first.encode()), options or Options())
 
 
 def feed(session: Session, lines: list[str], end: bool = True) -> list[dict[str, Any]]:

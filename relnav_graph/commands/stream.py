@@ -87,7 +87,7 @@ def command(
             source = open_source(where, settle, follow, ends, interrupts)
             incoming = source.lines()
             header, first = _opening(journal, incoming)
-            session = _session(
+            session = new_session(
                 load_scenario(scenario, assignments, header.settings), kind, header, options
             )
             if journal is not None:
@@ -129,7 +129,7 @@ def _lines(
     yield from lines
 
 
-def _session(scenario: Scenario, kind: str, header: Header, options: Options) -> Session:
+def new_session(scenario: Scenario, kind: str, header: Header, options: Options) -> Session:
     """A session before its first line. Raises InputError when the prior lacks a mean."""
     means = prior_values(header, scenario.layout)
     problem = scenario.problem_at(scenario.prior_with(means, header.t or 0.0))

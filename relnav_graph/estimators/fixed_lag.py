@@ -36,7 +36,7 @@ from relnav_graph.estimators.gating import (
     lost,
     residual_weights,
 )
-from relnav_graph.estimators.packing import pack, unpack
+from relnav_graph.estimators.packing import pack, under, unpack
 from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.problem import SAME_TIME, Epoch, Problem
 from relnav_graph.sweep import Anchor, anchor_of
@@ -109,7 +109,7 @@ class FixedLagEngine:
             return None
         layout, old = self.problem.layout, w.chain
         x = newest[None] if old is None else np.concatenate([old.x, newest[None]])
-        limit, first, before = MOVED if w.begun else SETTLED, len(x) - 1, np.inf
+        limit, first, before = MOVED if w.lead else SETTLED, len(x) - 1, np.inf
         try:
             for _ in range(ROUNDS):
                 chain = linearized(w, x, first)
@@ -178,7 +178,6 @@ class FixedLagEngine:
             epochs=w.epochs[gone:],
             parts=w.parts[gone:],
             weights=w.weights[gone:],
-            begun=True,
             left=left,
         )
 
@@ -196,7 +195,7 @@ class FixedLagEngine:
     def load(self, arrays: Mapping[str, Array]) -> Window:
         """The window again."""
         p, a = self.problem, {name: np.array(array) for name, array in arrays.items()}
-        epochs = unpack({k.removeprefix("epochs."): v for k, v in a.items() if k[:7] == "epochs."})
+        epochs = unpack(under(a, "epochs."))
         first = float(a["before"][0]) if len(a["before"]) else None
         before = [first, *(e.t for e in epochs)]
         window = Window(
@@ -210,7 +209,6 @@ class FixedLagEngine:
                 for epoch, t in zip(epochs, before, strict=False)
             ),
             weights=tuple(a[f"weights.{k}"] for k in range(len(epochs))),
-            begun=first is not None,
         )
         return replace(window, chain=linearized(window, a["chain"])) if epochs else window
 

@@ -33,7 +33,15 @@ from relnav_graph.estimators.health import (
     Monitor,
     caution,
 )
-from relnav_graph.estimators.packing import Repeats, held, merged, pack, unpack, without_repeats
+from relnav_graph.estimators.packing import (
+    Repeats,
+    held,
+    merged,
+    pack,
+    under,
+    unpack,
+    without_repeats,
+)
 from relnav_graph.models import Measurement
 from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
 from relnav_graph.registry import find_class
@@ -225,11 +233,10 @@ class Online:
             inputs = held(self.epochs[-1].inputs, self.problem.processes, t - now)
         ahead = Epoch(t, (), inputs)
         with _named(ahead):
-            x, F, Q = self._assemble(ahead, now).transition(self.x[None])
-        P = F[0] @ self.P @ F[0].T + Q[0]
+            x, P = self._assemble(ahead, now).predict(self.x, self.P)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"predict: the state at {t} s is not finite")
-        return x[0], 0.5 * (P + P.T)
+        return x, P
 
     # --- as plain arrays -------------------------------------------------------------------
 
@@ -262,13 +269,13 @@ class Online:
         self._claim()
         if self._state.moments:
             raise InputError("restore: expected an estimator that has taken in nothing yet")
-        own = _under(state, "engine.")
+        own = under(state, "engine.")
         engine = self.engine.load(own) if own else self._state.engine
         new = _State(engine, Monitor.of(self.problem.sensors, np.array(state["monitor"])))
-        for epoch in unpack(_under(state, "epochs.")):
+        for epoch in unpack(under(state, "epochs.")):
             new, _ = self._advance(new, epoch)
         counts: dict[str, dict[str, int]] = {name: {} for name in self.problem.sensors}
-        for key, n in _under(state, "counts.").items():
+        for key, n in under(state, "counts.").items():
             reason, _, sensor = key.partition(".")
             counts.setdefault(sensor, {})[reason] = int(n)
         self.counts, self._state = counts, new
@@ -364,10 +371,6 @@ def online(kind: str, problem: Problem) -> Online:
     that kind, or it is for whole passes only.
     """
     return Online(problem, kind)
-
-
-def _under(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
-    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
 def _refusals(t: float, done: FilterPass) -> tuple[Refusal, ...]:

@@ -12,7 +12,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.models import Dynamics, Measurement
 from relnav_graph.problem import SAME_TIME, Epoch
 
-__all__ = ["held", "merged", "pack", "unpack", "without_repeats"]
+__all__ = ["held", "merged", "pack", "under", "unpack", "without_repeats"]
 
 Array = NDArray[np.float64]
 #: What was left out: sensor, time, ids.
@@ -96,6 +96,11 @@ def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
         for process, u in epoch.inputs.items():
             out[f"{k}.u.{process}"] = np.asarray(u, dtype=np.float64)
     return out
+
+
+def under(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
+    """The arrays whose names begin with `prefix`, without it."""
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
 def unpack(arrays: Mapping[str, Array]) -> list[Epoch]:

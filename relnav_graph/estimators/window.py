@@ -92,14 +92,13 @@ class Window:
     parts: tuple[Assembly, ...] = ()
     weights: tuple[Array, ...] = ()
     chain: Chain | None = None
-    begun: bool = False
     done: FilterPass | None = None
     left: Left | None = None
 
     @property
     def lead(self) -> int:
-        """1 when an epoch has left, else 0."""
-        return int(self.begun)
+        """1 when an epoch has left, else 0: then an interval leads to the oldest one here."""
+        return len(self.parts[0].tables.starts) if self.parts else 0
 
     @property
     def joined(self) -> Assembly:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
-from relnav_graph.estimators.packing import merged, pack, unpack
+from relnav_graph.estimators.packing import merged, pack, under, unpack
 from relnav_graph.initialise import FRAMES, decide, hypotheses
 from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
 
@@ -66,9 +66,7 @@ class Beginning:
         if self.t is not None:
             p, ahead = self.problem, Epoch(epoch.t, (), epoch.inputs)
             assembly = Assembly(p.layout, p.processes, p.sensors, [ahead], self.t)
-            x, F, Q = assembly.transition(p.prior.x[None])
-            P = F[0] @ p.prior.P @ F[0].T + Q[0]
-            self.problem = replace(p, prior=Prior(x[0], 0.5 * (P + P.T)))
+            self.problem = replace(p, prior=Prior(*assembly.predict(p.prior.x, p.prior.P)))
         self.t = epoch.t
 
     def save(self) -> dict[str, Array]:
@@ -84,6 +82,4 @@ class Beginning:
         t = float(arrays["t"])
         self.t = None if np.isnan(t) else t
         self.problem = replace(self.problem, prior=Prior(arrays["x"], arrays["P"]))
-        self.epochs = unpack(
-            {k.removeprefix("epochs."): v for k, v in arrays.items() if k.startswith("epochs.")}
-        )
+        self.epochs = unpack(under(arrays, "epochs."))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators.online import Estimate, Online
+from relnav_graph.estimators.packing import under
 from relnav_graph.io.lines import (
     Header,
     InputSample,
@@ -379,7 +380,7 @@ class Session:
     def load(self, data: bytes) -> None:
         """Be the session that gave `data`; for one that has taken in nothing yet."""
         own, arrays = saved.unpack(data)
-        first = {k[10:]: v for k, v in arrays.items() if k.startswith("beginning.")}
+        first = under(arrays, "beginning.")
         if not own["begun"] and self._beginning is not None:
             self._beginning.load(first)
         elif self._beginning is not None:
