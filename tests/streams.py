@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from relnav_graph.commands.stream import new_session
 from relnav_graph.io.lines import header_of, recording_lines
 from relnav_graph.scenario import Scenario, load_scenario
@@ -107,3 +110,14 @@ def changed(line: str, **values: Any) -> str:
 def reasons(out: list[dict[str, Any]]) -> list[tuple[str | None, str]]:
     """Sensor and the kind of reason of everything that was rejected."""
     return [(r["sensor"], r["reason"].partition(":")[0]) for line in out for r in line["rejected"]]
+
+
+def values_of(line: dict[str, Any]) -> NDArray[np.float64]:
+    """All numbers of an estimate, sigmas included."""
+    return np.concatenate([[*s["value"], *s["sigma"]] for s in line["estimate"].values()])
+
+
+def assert_close(found: list[dict[str, Any]], expected: list[dict[str, Any]]) -> None:
+    assert [line["t"] for line in found] == [line["t"] for line in expected]
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(values_of(a), values_of(b), rtol=1e-9, atol=1e-9)

@@ -10,13 +10,12 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from outside import Outside
 from passes import ZHANG
 from PIL import Image
 
@@ -26,54 +25,10 @@ from relnav_graph.report import page as pages
 from relnav_graph.report import scene as scenes
 from relnav_graph.report import tables
 from relnav_graph.report.contents import PassContents, StudyContents, read_contents
-from relnav_graph.report.embed import encode
-from relnav_graph.report.page import MAX_BYTES, Gallery
-from relnav_graph.report.zoom import zoomable
+from relnav_graph.report.page import MAX_BYTES
 from relnav_graph.study.record import Record
 
 SHORT = ("--set", "time.epochs=12", "-e", "iekf", "-e", "batch")
-SELF_CONTAINED = re.compile(r"#|data:")
-#: Attributes whose value is an address.
-ADDRESSES = {"src", "href", "srcset", "data", "poster", "action", "formaction", "background",
-             "cite", "manifest", "ping", "xlink:href"}  # fmt: skip
-FETCHING = {"link", "base", "iframe", "frame", "object", "embed", "applet"}
-
-
-class Outside(HTMLParser):
-    """What a page refers to that is not in it, and its policy."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.found: list[str] = []
-        self.policy: dict[str, list[str]] = {}
-        self.inside = ""
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = {name: value or "" for name, value in attrs}
-        self.inside = tag
-        if tag in FETCHING or given.get("http-equiv", "").lower() == "refresh":
-            self.found.append(f"<{tag}>")
-        for name, value in given.items():
-            if name in ADDRESSES and not SELF_CONTAINED.match(value):
-                self.found.append(f"{name}={value[:60]}")
-        self._css(given.get("style", ""))
-        if given.get("http-equiv") == "Content-Security-Policy":
-            parts = [part.split() for part in given["content"].split(";")]
-            self.policy = {name: sources for name, *sources in parts}
-
-    def handle_endtag(self, tag: str) -> None:
-        self.inside = ""
-
-    def handle_data(self, data: str) -> None:
-        if self.inside == "style":
-            self._css(data)
-
-    def _css(self, text: str) -> None:
-        self.found += re.findall(r"@import[^;]*", text)
-        addresses = re.findall(r"url\(\s*['\"]?([^)'\"]*)", text)
-        self.found += [a for a in addresses if not SELF_CONTAINED.match(a)]
 
 
 def run(*arguments: object) -> int:
@@ -287,77 +242,12 @@ def test_without_plotly_there_are_images_and_a_word_on_the_extra(
     assert Outside(text).found == []
 
 
-def test_figures_that_do_not_fit_stay_images() -> None:
-    gallery, figures = Gallery(), [Figure(), Figure(), Figure()]
-    for figure, count in zip(figures, (10, 1000, 100), strict=True):
-        figure.subplots().plot(np.arange(count))
-        gallery.add("title", "caption", figure)
-    assert list(gallery.zoomed(10**6)) == ["figure-1", "figure-2", "figure-3"]
-    room = gallery.taken + len(encode(zoomable(figures[1])))
-    found = gallery.zoomed(room)
-    assert list(found) == ["figure-1", "figure-3"]
-    assert gallery.taken + sum(map(len, found.values())) < room
-
-
-def test_a_zoomable_figure_holds_what_was_drawn() -> None:
-    figure = Figure(figsize=(7, 3), layout="constrained")
-    first, second = figure.subplots(1, 2, sharey=True)
-    t, y = np.arange(5.0), np.array([1.0, 10.0, np.nan, 1000.0, 2.0])
-    first.semilogy(t, y, color="#D55E00", label="iekf", linestyle="--")
-    first.axhline(1, color="0.4")
-    second.axhspan(0.5, 2, color="0.5")
-    second.set(xlim=(4, 0), title="x")
-    second.set_title("smoothed", loc="left")
-    second.set_xlabel("$x_{t}$ [m]")
-    figure.legend(handles=first.lines[:1])
-    found = zoomable(figure)
-    entry, line = found["data"]
-    assert (entry["name"], entry["showlegend"]) == ("iekf", True)
-    assert (line["legendgroup"], line["x0"], line["dx"]) == ("iekf", 0.0, 1.0)
-    np.testing.assert_array_equal(line["y"], y)
-    assert line["line"]["color"] == "rgba(213,94,0,1.00)"
-    assert line["line"]["dash"] == "dash"
-    layout = found["layout"]
-    assert layout["yaxis"]["type"] == "log"
-    np.testing.assert_allclose(layout["yaxis"]["range"], np.log10(first.get_ylim()))
-    assert layout["xaxis2"]["range"] == [4.0, 0.0]
-    assert layout["yaxis2"]["matches"] == "y"
-    assert layout["xaxis2"]["title"]["text"] == "<i>x<sub>t</sub></i> [m]"
-    assert [s["type"] for s in layout["shapes"]] == ["line", "rect"]
-    assert [s["yref"] for s in layout["shapes"]] == ["y", "y2"]
-    assert [a["text"] for a in layout["annotations"]] == ["smoothed"]
-
-
 def test_plotly_takes_every_figure(page: str) -> None:
     """Its Python side knows every property, and refuses what it does not know."""
     plotly = pytest.importorskip("plotly.graph_objects", reason="needs the extra report")
     texts = re.findall(r'<script type="application/json" id="[^"]+">(.*?)</script>', page, re.S)
     for text in texts:
         plotly.Figure(json.loads(text))
-
-
-def test_a_long_pass_is_thinned_for_zooming() -> None:
-    figure = Figure()
-    ax = figure.subplots()
-    t = np.linspace(0, 1e5, 100_001)
-    ax.plot(t, np.sin(t))
-    ax.fill_between(t, -1, np.cos(t))
-    (line,) = zoomable(figure)["data"]
-    assert 500 < len(line["y"]) <= 1000
-    assert line["dx"] == pytest.approx(t[-1] / (len(line["y"]) - 1), rel=0.01)
-
-
-def test_ellipsoids_are_three_sigma_about_their_centres() -> None:
-    rng = np.random.default_rng(0)
-    A = rng.normal(size=(2, 3, 3))
-    P, centres = A @ A.transpose(0, 2, 1), rng.normal(size=(2, 3))
-    mesh = scenes._ellipsoids(centres, P, 10.0)
-    vertices = np.column_stack([mesh[a] for a in "xyz"]).reshape(2, -1, 3)
-    d = (vertices - centres[:, None]) / 10
-    square = np.einsum("kmi,kij,kmj->km", d, np.linalg.inv(P), d)
-    np.testing.assert_allclose(square, 9)
-    faces = np.column_stack([mesh[a] for a in "ijk"])
-    assert faces.max() == vertices.shape[0] * vertices.shape[1] - 1
 
 
 def test_the_scene_shows_the_true_pass(one_pass: Path) -> None:
@@ -380,15 +270,6 @@ def test_the_scene_shows_the_true_pass(one_pass: Path) -> None:
     R = content.truth.values["target_attitude"][0]
     expected = content.scenario.sensors["beacons"].points  # type: ignore[attr-defined]
     np.testing.assert_allclose(points @ R, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(None, "–"), (0.0, "0"), (1234.5678, "1235"), (-0.012345, "−0.01235"), (3.2e-9, "3.2·10⁻⁹"),
-     (1.5e7, "1.5·10⁷")],
-)  # fmt: skip
-def test_numbers_have_few_digits(value: float | None, text: str) -> None:
-    assert tables.number(value) == text
 
 
 def _break_record(folder: Path) -> None:

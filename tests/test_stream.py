@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
-import socket
 import subprocess
-import sys
-import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +12,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from passes import ZHANG, relnav
-from streams import RELNAV, changed, feed, lines_of, reasons, session_of, toy, write_scenario
+from streams import (
+    RELNAV,
+    assert_close,
+    changed,
+    feed,
+    lines_of,
+    reasons,
+    session_of,
+    toy,
+    write_scenario,
+)
 
 from relnav_graph.deviation import estimates
 from relnav_graph.estimators import run_estimator
@@ -35,17 +40,6 @@ Toy = tuple[Scenario, list[str]]
 @pytest.fixture(scope="module", name="toy")
 def toy_(tmp_path_factory: pytest.TempPathFactory) -> Toy:
     return toy(tmp_path_factory.mktemp("toy"))
-
-
-def _values(line: dict[str, Any]) -> Array:
-    """All numbers of an estimate, sigmas included."""
-    return np.concatenate([[*s["value"], *s["sigma"]] for s in line["estimate"].values()])
-
-
-def _assert_close(found: list[dict[str, Any]], expected: list[dict[str, Any]]) -> None:
-    assert [line["t"] for line in found] == [line["t"] for line in expected]
-    for a, b in zip(found, expected, strict=True):
-        np.testing.assert_allclose(_values(a), _values(b), rtol=1e-9, atol=1e-9)
 
 
 def _assert_equal_to_track(out: list[dict[str, Any]], scenario: Scenario, kind: str) -> None:
@@ -108,7 +102,7 @@ def test_the_order_of_lines_is_that_of_arrival_not_of_time(toy: Toy) -> None:
         ordered = feed(session_of(scenario, lines[0], kind), lines)
         out = feed(session_of(scenario, lines[0], kind), shuffled)
         assert reasons(out) == []
-        _assert_close([out[-1]], [ordered[-1]])
+        assert_close([out[-1]], [ordered[-1]])
     assert len(expected) == 40
 
 
@@ -118,7 +112,7 @@ def test_what_arrives_at_one_moment_is_one_update(toy: Toy) -> None:
     for line in lines[1:]:
         late.append(changed(line, t_arrival=json.loads(line)["t"] + 0.25))
     out = feed(session_of(scenario, lines[0]), late)
-    _assert_close(out, feed(session_of(scenario, lines[0]), lines))
+    assert_close(out, feed(session_of(scenario, lines[0]), lines))
 
 
 def test_predict_to_now(toy: Toy) -> None:
@@ -135,7 +129,7 @@ def test_predict_to_now(toy: Toy) -> None:
         np.testing.assert_allclose(moved, 3.5 * velocity, atol=1e-9)
         assert (np.array(now["relative_position"]["sigma"]) > then["sigma"]).all()
     plain = feed(session_of(scenario, lines[0]), late)
-    _assert_close(out, plain)
+    assert_close(out, plain)
     assert "now" not in plain[0]
 
 
@@ -148,11 +142,11 @@ def test_late_inside_the_window_is_used_and_beyond_it_refused(toy: Toy) -> None:
     inside = feed(session_of(scenario, lines[0]), [*rest[: at + 12], moved, *rest[at + 12 :]])
     assert reasons(inside) == []
     assert len(inside) == len(ordered) + 1  # the newest estimate once more
-    _assert_close([inside[-1]], [ordered[-1]])
+    assert_close([inside[-1]], [ordered[-1]])
     beyond = feed(session_of(scenario, lines[0]), [*rest, moved])
     assert set(reasons(beyond)) == {(json.loads(moved)["sensor"], "late")}
     without = feed(session_of(scenario, lines[0]), rest)
-    _assert_close([beyond[-1]], [without[-1]])
+    assert_close([beyond[-1]], [without[-1]])
 
 
 def test_duplicates_are_counted_and_not_used_twice(toy: Toy) -> None:
@@ -163,7 +157,7 @@ def test_duplicates_are_counted_and_not_used_twice(toy: Toy) -> None:
     session = session_of(scenario, lines[0])
     out = feed(session, twice)
     ordered = feed(session_of(scenario, lines[0]), lines)
-    _assert_close([out[-1]], [ordered[-1]])
+    assert_close([out[-1]], [ordered[-1]])
     assert session.rejected["ranger"] == {"duplicate": 120}
     assert session.rejected["fix"] == {"duplicate": 20}
 
@@ -189,6 +183,20 @@ def test_a_session_goes_on_from_its_bytes_bit_for_bit(toy: Toy) -> None:
             assert begun + feed(resumed, lines[at:]) == whole
 
 
+def test_memory_is_flat_whatever_comes(toy: Toy) -> None:
+    """Hundreds of epochs of what never becomes one: nothing is kept for ever."""
+    scenario, lines = toy
+    session = session_of(scenario, lines[0])
+    feed(session, lines, end=False)
+    sizes = []
+    for k in range(600):
+        t = 40.0 + k
+        feed(session, [changed(lines[1], t=t), changed(lines[1], t=t - 30), "no line"], end=False)
+        if k % 200 == 199:
+            sizes.append(len(session.save()))
+    assert max(sizes) < 1.02 * min(sizes)
+
+
 # --- inputs ------------------------------------------------------------------------------
 
 
@@ -212,7 +220,7 @@ def test_measurements_wait_for_their_inputs(zhang: Toy) -> None:
     for k, sample in enumerate(gyro):
         mixed += [sample, *beacons[k + 4 : k + 5]]
     out = feed(session_of(scenario, lines[0]), mixed)
-    _assert_close(out, feed(session_of(scenario, lines[0]), lines))
+    assert_close(out, feed(session_of(scenario, lines[0]), lines))
     assert reasons(out) == []
 
 
@@ -281,7 +289,7 @@ def test_a_line_that_cannot_be_used_says_why(toy: Toy, line: bytes, says: str) -
     begun += session.take(session.parse(line))
     out = begun + feed(session, lines[20:])
     expected = feed(session_of(scenario, lines[0]), lines)
-    _assert_close(out, expected)
+    assert_close(out, expected)
     (rejected,) = [r for line in out for r in line["rejected"]]
     assert says in rejected["reason"]
 
@@ -311,135 +319,3 @@ def test_attitudes_of_a_header_are_unit_quaternions() -> None:
     line = b'{"format": "relnav-lines", "version": 1, "prior": {"chaser_attitude": [1, 1, 0, 0]}}'
     with pytest.raises(ValueError, match="expected a unit quaternion"):
         prior_values(header_of(line), scenario.layout)
-
-
-# --- the command -------------------------------------------------------------------------
-
-
-def _stream(capsys: Capture, *arguments: object) -> tuple[int, list[dict[str, Any]], str]:
-    """Through a file, since standard output of a test is not a descriptor."""
-    code, _, err = relnav(capsys, "stream", *arguments)
-    return code, [], err
-
-
-def test_refusals_end_with_3_unless_allowed(tmp_path: Path, capsys: Capture) -> None:
-    scenario, lines = toy(tmp_path)
-    path, data, out = tmp_path / "toy.toml", tmp_path / "lines", tmp_path / "out"
-    data.write_text("\n".join([*lines, "nonsense"]) + "\n", "utf-8")
-    code, _, err = _stream(capsys, path, "--from", data, "-o", out)
-    assert code == 3
-    assert "(unnamed): not used: 1 not a line of JSON" in err
-    assert _stream(capsys, path, "--from", data, "-o", out, "--allow-rejects")[0] == 0
-    data.write_text("\n".join(lines) + "\n", "utf-8")
-    assert _stream(capsys, path, "--from", data, "-o", out)[0] == 0
-    assert len(out.read_text().splitlines()) == scenario.file.time.epochs  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--from", "{here}", "-e", "batch"], "cannot be driven online"),
-        (["-e", "kalman"], "found kind 'kalman'"),
-        (["--from", "nowhere"], "--from nowhere: No such file"),
-        (["--from", "tcp:0"], "expected tcp:PORT"),
-        (
-            ["--from", "{here}", "-o", "/proc/nowhere/out"],
-            "-o /proc/nowhere/out: cannot be written",
-        ),
-        (["--from", "{here}", "--journal", "/proc/nowhere"], "--journal /proc/nowhere: "),
-    ],
-)
-def test_wrong_options_end_with_2(
-    tmp_path: Path, capsys: Capture, arguments: list[str], says: str
-) -> None:
-    _, lines = toy(tmp_path)
-    data = tmp_path / "lines"
-    data.write_text(lines[0] + "\n", "utf-8")
-    arguments = [str(data) if a == "{here}" else a for a in arguments]
-    code, _, err = _stream(capsys, tmp_path / "toy.toml", *arguments)
-    assert code == 2
-    assert says in err
-
-
-def test_a_growing_file_is_followed(tmp_path: Path, capsys: Capture) -> None:
-    """Also while a line is half written; each line out comes without waiting for the next in."""
-    _, lines = toy(tmp_path)
-    data, out = tmp_path / "lines", tmp_path / "out"
-    data.write_text(lines[0], "utf-8")
-
-    def grow() -> None:
-        with data.open("a", encoding="utf-8") as file:
-            for line in lines[1:21]:
-                file.write("\n" + line[:30])
-                file.flush()
-                time.sleep(0.002)
-                file.write(line[30:])
-            file.write("\n")
-
-    writer = threading.Thread(target=grow)
-    writer.start()
-    options = "--from", data, "--follow", "--for", "1", "-o", out
-    assert _stream(capsys, tmp_path / "toy.toml", *options)[0] == 0
-    writer.join()
-    data.write_text("\n".join(lines[:21]) + "\n", "utf-8")
-    whole = tmp_path / "whole"
-    assert _stream(capsys, tmp_path / "toy.toml", "--from", data, "-o", whole)[0] == 0
-    last = [json.loads(p.read_text().splitlines()[-1]) for p in (out, whole)]
-    _assert_close(last[:1], last[1:])
-
-
-def test_a_socket_on_loopback(tmp_path: Path, capsys: Capture) -> None:
-    _, lines = toy(tmp_path)
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
-
-    def send() -> None:
-        while True:
-            try:
-                with socket.create_connection(("127.0.0.1", port)) as connection:
-                    connection.sendall("\n".join(lines).encode())  # the last one has no end
-                    return
-            except ConnectionRefusedError:
-                time.sleep(0.01)
-
-    sender = threading.Thread(target=send)
-    sender.start()
-    out = tmp_path / "out"
-    assert _stream(capsys, tmp_path / "toy.toml", "--from", f"tcp:{port}", "-o", out)[0] == 0
-    sender.join()
-    assert len(out.read_text().splitlines()) == 40
-
-
-def test_memory_is_flat_whatever_comes(toy: Toy) -> None:
-    """Hundreds of epochs of what never becomes one: nothing is kept for ever."""
-    scenario, lines = toy
-    session = session_of(scenario, lines[0])
-    feed(session, lines, end=False)
-    sizes = []
-    for k in range(600):
-        t = 40.0 + k
-        feed(session, [changed(lines[1], t=t), changed(lines[1], t=t - 30), "no line"], end=False)
-        if k % 200 == 199:
-            sizes.append(len(session.save()))
-    assert max(sizes) < 1.02 * min(sizes)
-
-
-def test_a_reader_that_leaves_ends_it(tmp_path: Path) -> None:
-    _, lines = toy(tmp_path)
-    data = tmp_path / "lines"
-    data.write_text("\n".join(lines) + "\n", "utf-8")
-    read, write = os.pipe()
-    os.close(read)
-    with os.fdopen(write, "wb") as pipe:
-        done = subprocess.run(
-            [*RELNAV, "stream", "toy.toml", "--from", "lines"],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path])},
-            stdout=pipe,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-            timeout=120,
-        )
-    assert done.returncode == 3
-    assert done.stderr == "the reader of the output has left\n"
