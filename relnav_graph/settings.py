@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -90,7 +91,9 @@ class OutlierSettings(BaseModel):
 class SensorOptions(BaseModel):
     """Of a sensor, what belongs to no model: `gate`, the probability of the chi-square
     gate on each observation, `loss`, robust, with its `tuning` constant in sigmas; in
-    simulation `period`, how often it measures, and `outliers`."""
+    simulation `period`, how often it measures, from `begin` until before `end`, the `law` of
+    its noise, "gaussian" or "random_direction" (of a normal length along a direction drawn at
+    random, of the same covariance), and `outliers`."""
 
     model_config = _STRICT
 
@@ -98,13 +101,19 @@ class SensorOptions(BaseModel):
     loss: LossKind | None = None
     tuning: float | None = Field(default=None, gt=0)
     period: Seconds | None = None
+    begin: Seconds | None = None
+    end: Seconds | None = None
+    law: sim.Law = "gaussian"
     outliers: OutlierSettings | None = None
 
     def timing(self) -> sim.Timing:
         """What the simulator needs to know."""
+        begin = -math.inf if self.begin is None else self.begin
+        end = math.inf if self.end is None else self.end
         if self.outliers is None:
-            return sim.Timing(self.period)
-        return sim.Timing(self.period, self.outliers.fraction, self.outliers.size)
+            return sim.Timing(self.period, begin=begin, end=end, law=self.law)
+        struck = self.outliers.fraction, self.outliers.size
+        return sim.Timing(self.period, *struck, begin, end, self.law)
 
 
 class OnlineSettings(BaseModel):

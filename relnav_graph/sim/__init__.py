@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ __all__ = ["GROUP", "TruthModel", "simulate", "stream"]
 
 Array = NDArray[np.float64]
 GROUP = "relnav_graph.truths"
+Law = Literal["gaussian", "random_direction"]
 
 
 @runtime_checkable
@@ -43,14 +44,23 @@ def stream(seed: int, run: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Timing:
-    """How a simulated sensor measures: every `period` s (None: at each epoch), with a
-    fraction of outliers, off by `outlier_size` sigmas."""
+    """How a simulated sensor measures: every `period` s (None: at each epoch) from `begin`
+    until before `end`, s, with a fraction of outliers, off by `outlier_size` sigmas.
+
+    law: of the noise, "gaussian", or "random_direction": of a normal length along a
+    direction drawn at random, of the same covariance.
+    """
 
     period: float | None = None
     outlier_fraction: float = 0.0
     outlier_size: float = 0.0
+    begin: float = -np.inf
+    end: float = np.inf
+    law: Law = "gaussian"
 
     def fires(self, t: float, t0: float) -> bool:
+        if not self.begin - 1e-6 < t < self.end - 1e-6:
+            return False
         if self.period is None:
             return True
         cycles = (t - t0) / self.period
@@ -70,6 +80,15 @@ def _seen(
     return np.concatenate([i for i, _ in found]), np.concatenate([z for _, z in found])
 
 
+def _unit_noise(law: Law, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Noise (k, rows) of unit covariance."""
+    noise = rng.standard_normal(shape)
+    if law == "random_direction":
+        noise /= np.linalg.norm(noise, axis=1, keepdims=True)
+        noise *= np.sqrt(shape[1]) * rng.standard_normal((shape[0], 1))
+    return noise
+
+
 def _with_outliers(e: Array, timing: Timing, rng: np.random.Generator) -> Array:
     """Unit noise e (k, rows) with outliers added, each in a direction of its own."""
     direction = rng.standard_normal(e.shape)
@@ -77,6 +96,36 @@ def _with_outliers(e: Array, timing: Timing, rng: np.random.Generator) -> Array:
     struck = rng.random(len(e)) < timing.outlier_fraction
     out: Array = e + timing.outlier_size * struck[:, None] * direction
     return out
+
+
+def check_known(name: str, sensor: Sensor, values: Mapping[str, Array]) -> None:
+    """Raise InputError when a truth with these values lacks a block that a sensor reads."""
+    missing = [b.name for b in sensor.reads if b.name not in values]
+    if missing:
+        raise InputError(f"sensor {name!r} cannot be simulated: the truth has no {missing}")
+
+
+def measure_once(
+    name: str,
+    sensor: Sensor,
+    timing: Timing,
+    t: float,
+    x: Sequence[Array],
+    rng: np.random.Generator,
+    outliers: np.random.Generator | None = None,
+) -> Measurement | None:
+    """What a sensor measures at time t, s, at true values x of the blocks that it reads;
+    None when it sees nothing. See `measure`."""
+    seen, rows = _seen(sensor, sensor.observables(), x)
+    if not len(seen):
+        return None
+    clean = Measurement(name, t, rows, seen)
+    R = sensor.noise(clean)
+    unit = _unit_noise(timing.law, R.shape[:2], rng)
+    if outliers is not None and timing.outlier_fraction > 0:
+        unit = _with_outliers(unit, timing, outliers)
+    e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
+    return Measurement(name, t, sensor.perturb(clean.z, e), clean.ids)
 
 
 def measure(
@@ -94,23 +143,14 @@ def measure(
     An observation that is impossible at the truth, such as a point behind the camera, is
     one that is not seen. Raises InputError when the truth lacks a block.
     """
-    missing = [b.name for b in sensor.reads if b.name not in truth.values]
-    if missing:
-        raise InputError(f"sensor {name!r} cannot be simulated: the truth has no {missing}")
+    check_known(name, sensor, truth.values)
     out = []
     for k, t in enumerate(truth.t):
         if not timing.fires(float(t), float(truth.t[0])):
             continue
         x = [np.ascontiguousarray(truth.values[b.name][k]) for b in sensor.reads]
-        seen, rows = _seen(sensor, sensor.observables(), x)
-        if len(seen):
-            clean = Measurement(name, float(t), rows, seen)
-            R = sensor.noise(clean)
-            unit = rng.standard_normal(R.shape[:2])
-            if outliers is not None and timing.outlier_fraction > 0:
-                unit = _with_outliers(unit, timing, outliers)
-            e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
-            out.append(Measurement(name, float(t), sensor.perturb(clean.z, e), clean.ids))
+        found = measure_once(name, sensor, timing, float(t), x, rng, outliers)
+        out += [] if found is None else [found]
     return out
 
 

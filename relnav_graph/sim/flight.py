@@ -1,0 +1,75 @@
+"""What a truth that takes commands, and a controller, must provide to fly in a closed loop.
+
+`relnav_graph.loop` brings them together with an estimator: the truth flies from epoch to
+epoch under commands, which the controller makes of the estimate alone and of what the chaser
+knows exactly of itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.state import Block
+
+__all__ = ["ControlledTruth", "Controller", "Flight"]
+
+Array = NDArray[np.float64]
+
+
+class Flight(Protocol):
+    """A pass while it is flown: it stands at one time, and moves on when told to."""
+
+    def values(self) -> Mapping[str, Array]:
+        """True values now by name, (3, 3) or (dim,): blocks, and what a controller reads as
+        the chaser's own."""
+
+    def advance(
+        self, t: float, command: Array | None, edges: Mapping[str, Array]
+    ) -> Mapping[str, Array]:
+        """Fly to time t, s, with the command held; None: without any.
+
+        edges: of the samples of each input (gyro, accelerometer) in that time, (n + 1,), s.
+        Gives the true means of what the input measures between them, (n, channels). What is
+        drawn at random on the way must not depend on the command. Raises InputError on an
+        input that this truth cannot drive.
+        """
+
+
+@runtime_checkable
+class ControlledTruth(Protocol):
+    """A truth that can be flown."""
+
+    @property
+    def source(self) -> str:
+        """What it is, and what it leaves out; see `relnav_graph.track.Truth`."""
+
+    def fly(self, t: float, rng: np.random.Generator) -> Flight:
+        """A flight that begins at time t, s."""
+
+
+@runtime_checkable
+class Controller(Protocol):
+    """A control law, without a memory.
+
+    start: s, when it begins. reads: names of the blocks that it needs of the estimate; own:
+    of what it needs of the chaser itself, which is known exactly. controlled: its own errors,
+    quantities whose aim is zero (or the identity), for tables.
+    """
+
+    kind: ClassVar[str]
+    reads: ClassVar[tuple[str, ...]]
+    own: ClassVar[tuple[str, ...]]
+    controlled: ClassVar[tuple[Block, ...]]
+
+    @property
+    def start(self) -> float: ...
+
+    def command(self, t: float, estimate: Mapping[str, Array], own: Mapping[str, Array]) -> Array:
+        """The command from time t, s, on, of newest estimates by block name."""
+
+    def control_errors(self, values: Mapping[str, Array]) -> Mapping[str, Array]:
+        """True values of `controlled` over a pass of true values (N, ...)."""
