@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -21,8 +22,6 @@ from .euler_rotation import EulerRotation
 from .euler_rotation import kernel as free_rotation
 
 Array = NDArray[np.float64]
-#: Numbers of `EulerRotation`, with a known inertia.
-FREE = 26
 
 
 @jit
@@ -76,14 +75,14 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     total, noise = so3.identity(6), np.zeros((6, 6))
     step_F, step_Q, after = np.empty((6, 6)), np.empty((6, 6)), np.empty(12)
     for n in range(steps):
-        # The sensitivities and the root of the noise go the same way.
         kicked = so3.identity(6)
         w = _kick(p, t + n * h, 0.5 * h, so3.matrix_at(y, 0), so3.vector_at(y, 9), kicked)
         so3.put_vector(y, 9, w)
         free_rotation(free, t + n * h, one, y, after, step_F, step_Q)
         kicked = so3.multiply(step_F, kicked)
         last = so3.identity(6)
-        w = _kick(p, t + (n + 1) * h, 0.5 * h, so3.matrix_at(after, 0), so3.vector_at(after, 9), last)
+        R_it, w = so3.matrix_at(after, 0), so3.vector_at(after, 9)
+        w = _kick(p, t + (n + 1) * h, 0.5 * h, R_it, w, last)
         so3.put_vector(after, 9, w)
         step = so3.multiply(last, kicked)
         total = so3.multiply(step, total)
@@ -130,7 +129,7 @@ class GravityGradientRotation(DynamicsModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.constants()
+        self._numbers  # noqa: B018  raises on what cannot be
 
     @property
     def free(self) -> EulerRotation:
@@ -151,6 +150,10 @@ class GravityGradientRotation(DynamicsModel):
         return self.free.caution(length, *x)
 
     def constants(self) -> Array:
+        return self._numbers
+
+    @cached_property
+    def _numbers(self) -> Array:
         orbit = KeplerOrbit(self.semi_major_axis, self.eccentricity, self.true_anomaly, self.mu)
         z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
         R_ip = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
@@ -161,7 +164,7 @@ class GravityGradientRotation(DynamicsModel):
 
     def torque(self, t: float, R_it: Array) -> Array:
         """The known torque (3,) at time t, s, in t, N m."""
-        return gradient_torque(self.constants(), t, np.ascontiguousarray(R_it))[0]
+        return gradient_torque(self._numbers, t, np.ascontiguousarray(R_it))[0]
 
     def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
         """What a steady spin hides."""

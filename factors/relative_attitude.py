@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -70,6 +71,18 @@ class VisionAttitude(AttitudeSensor):
 
     def constants(self) -> Array:
         return np.array([*super().constants(), self.seen_from == "fixed"], dtype=np.float64)
+
+    def starts(
+        self, ids: NDArray[np.int64], z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """The attitude as measured; with poses in the orbital frame, by the chaser's."""
+        R_ct = self.sensor_attitude @ so3.from_quaternion(z[0])
+        if self.seen_from == "target":
+            yield {RELATIVE_ATTITUDE.name: R_ct.T}
+        elif self.seen_from == "fixed":
+            yield {TARGET_ATTITUDE.name: R_ct}
+        elif CHASER_ATTITUDE.name in known:
+            yield {TARGET_ATTITUDE.name: known[CHASER_ATTITUDE.name] @ R_ct}
 
     def attitude(self, *x: Array) -> Array:
         """R_st (3, 3)."""

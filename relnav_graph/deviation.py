@@ -91,7 +91,8 @@ def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
 
 @np.errstate(over="ignore", invalid="ignore")  # of diverged tracks
 def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstimates]:
-    """Every block of the track, and every derived quantity that its blocks give.
+    """Every block of the track, every derived quantity that its blocks give, and, of a pass
+    that was flown, the aim of its control, which has no covariance.
 
     A derived quantity with the name of a block is left out: the block is the estimate.
     """
@@ -107,6 +108,11 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
         _, index = layout.gather(quantity.reads)
         P = jacobian @ track.P[:, index[:, None], index] @ jacobian.transpose(0, 2, 1)
         found[quantity.block.name] = StateEstimates(quantity.block, value, P)
+    for block in track.controlled:
+        one = np.eye(3) if block.manifold == "SO3" else np.zeros(block.dim)
+        aim = np.tile(one, (len(track.t), *([1] * one.ndim)))
+        unknown = np.full((len(track.t), block.dim, block.dim), np.nan)
+        found[block.name] = StateEstimates(block, aim, unknown)
     return found
 
 

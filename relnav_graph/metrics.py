@@ -267,7 +267,8 @@ def summary(
 ) -> dict[str, Any]:
     """The object that ``relnav compare --json`` prints: strict JSON, schema 1.
 
-    States that truth does not know have unit and sigma only. Raises InputError as
+    truth: of tracks that have none of their own. States that truth does not know have unit
+    and sigma only. Raises InputError as
     :func:`score` does.
     """
     return {
@@ -277,7 +278,7 @@ def summary(
         "epochs": epochs,
         "versions": versions(),
         "estimators": {
-            name: _row(track, score(track, truth, derived, evaluate))
+            name: _row(track, score(track, track.truth or truth, derived, evaluate))
             for name, track in with_smoothed(tracks).items()
         },
     }

@@ -99,7 +99,8 @@ def _lines(
     rows, lines = with_smoothed(tracks), dict[str, list[_Line]]()
     styles = row_styles({name: track.kind for name, track in rows.items()})
     for name, track in rows.items():
-        known = {} if truth is None else errors(track, truth, derived)
+        true = track.truth or truth
+        known = {} if true is None else errors(track, true, derived)
         for state, x in estimates(track, derived).items():
             t, P, e, scale = track.t, x.P, None, x.block.table_scale
             if state in known and len(known[state].t):

@@ -36,6 +36,7 @@ from relnav_graph.settings import (
     read_toml,
     shared_orbit,
 )
+from relnav_graph.sim.flight import ControlledTruth, Controller
 from relnav_graph.state import Block, Layout
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, parse_quantity
@@ -59,6 +60,7 @@ class Scenario:
     truth: Any
     inputs: Mapping[str, Any]
     layout: Layout
+    control: Controller | None = None
 
     @property
     def gates(self) -> dict[str, float]:
@@ -307,6 +309,7 @@ def make_scenario(
                 problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
             found[key] = model
     truth, inputs = _make_truth(merged, orbit, problems)
+    control = _make_control(merged, orbit, truth, problems)
     if waiting:
         problems = [p for p in problems if p[1] != MISSING]
         made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
@@ -327,7 +330,8 @@ def make_scenario(
     for model in [*made["processes"].values(), *made["sensors"].values()]:
         announce(model.kernel)
     return Scenario(
-        name, file, merged, made["processes"], made["sensors"], options, truth, inputs, layout
+        *(name, file, merged, made["processes"], made["sensors"], options),
+        *(truth, inputs, layout, control),
     )
 
 
@@ -345,6 +349,22 @@ def _make_truth(
         if isinstance(table, Mapping):
             inputs[key] = make_kind(sim.GROUP, f"inputs.{key}", table, problems)
     return truth, inputs
+
+
+def _make_control(
+    raw: Mapping[str, Any], orbit: Mapping[str, Any] | None, truth: Any, problems: Problems
+) -> Controller | None:
+    if not isinstance(raw.get("control"), Mapping):
+        return None
+    own = shared_orbit(sim.GROUP, raw["control"], orbit)
+    control = make_kind(sim.GROUP, "control", own, problems)
+    if control is not None and not isinstance(control, Controller):
+        problems.append(("control.kind", f"found {own['kind']!r}, expected a controller"))
+        return None
+    if truth is not None and not isinstance(truth, ControlledTruth):
+        problems.append(("truth.kind", f"found {truth.kind!r}, which takes no commands"))
+    found: Controller | None = control
+    return found
 
 
 def load_scenario(

@@ -157,6 +157,7 @@ class ScenarioFile(BaseModel):
     online: OnlineSettings = OnlineSettings()
     orbit: dict[str, Any] | None = None
     truth: dict[str, Any] | None = None
+    control: dict[str, Any] | None = None
     inputs: dict[str, dict[str, Any]] = {}
     processes: dict[str, dict[str, Any]] = Field(min_length=1)
     sensors: dict[str, dict[str, Any]] = Field(min_length=1)

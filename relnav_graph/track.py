@@ -54,7 +54,8 @@ class Track:
     whether to trust it; rejected: observations not used, by sensor; downweighted: those that
     a robust loss lets count for less; step_s: time of each
     online step, s; smoothed: for an online estimator, the track that it ends with;
-    innovations: of a filter, by sensor.
+    innovations: of a filter, by sensor; truth: of the pass, where the estimator flew one of
+    its own; controlled: the errors of control there, whose aim is zero.
     """
 
     name: str
@@ -71,6 +72,8 @@ class Track:
     downweighted: Mapping[str, int] = field(default_factory=dict)
     smoothed: Track | None = None
     innovations: Mapping[str, Innovations] = field(default_factory=dict)
+    truth: Truth | None = None
+    controlled: tuple[Block, ...] = ()
 
     def value(self, name: str) -> Array:
         """Values of one block, (N, 3, 3) for an attitude, (N, dim) otherwise."""

@@ -13,7 +13,7 @@ from relnav_graph.problem import Problem
 from relnav_graph.registry import find_class
 from relnav_graph.track import Track
 
-__all__ = ["GROUP", "Estimator", "run_estimator", "try_estimator"]
+__all__ = ["GROUP", "Estimator", "diverged", "run_estimator", "try_estimator"]
 
 GROUP = "relnav_graph.estimators"
 
@@ -21,7 +21,8 @@ GROUP = "relnav_graph.estimators"
 @runtime_checkable
 class Estimator(Protocol):
     """What every estimator offers; those that can be driven online also have
-    ``engine(problem)``, see `relnav_graph.estimators.online`."""
+    ``engine(problem)``, see `relnav_graph.estimators.online`, and those that take epochs as
+    they come ``drive(source)``, see `relnav_graph.estimators.source`."""
 
     kind: ClassVar[str]
 
@@ -62,14 +63,19 @@ def try_estimator(kind: str, problem: Problem) -> Track:
     try:
         return run_estimator(kind, problem)
     except (EstimationError, GeometryError, ModelError, np.linalg.LinAlgError) as error:
-        count, layout = len(problem.epochs), problem.layout
-        return Track(
-            name=kind,
-            kind="filtered",
-            layout=layout,
-            t=problem.times,
-            x=np.full((count, layout.size), np.nan),
-            P=np.full((count, layout.dim, layout.dim), np.nan),
-            status="diverged",
-            message=f"{type(error).__name__}: {error}",
-        )
+        return diverged(kind, problem, error)
+
+
+def diverged(kind: str, problem: Problem, error: Exception) -> Track:
+    """The track of an estimator that could not go on."""
+    count, layout = len(problem.epochs), problem.layout
+    return Track(
+        name=kind,
+        kind="filtered",
+        layout=layout,
+        t=problem.times,
+        x=np.full((count, layout.size), np.nan),
+        P=np.full((count, layout.dim, layout.dim), np.nan),
+        status="diverged",
+        message=f"{type(error).__name__}: {error}",
+    )

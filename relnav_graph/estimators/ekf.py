@@ -19,6 +19,7 @@ from relnav_graph.estimators.gating import (
     lost,
     thresholds,
 )
+from relnav_graph.estimators.source import Source
 from relnav_graph.filtering import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.track import Innovations, Status, Track
@@ -288,6 +289,22 @@ class Ekf:
     def engine(self, problem: Problem) -> KalmanEngine:
         """For use online."""
         return KalmanEngine(problem, self.iterations)
+
+    def drive(self, source: Source) -> Track:
+        """Filter epochs as they come."""
+        engine, seconds = self.engine(source.problem), list[float]()
+        state = engine.begin()
+        try:
+            for epoch, part in source:
+                begun = time.perf_counter()
+                state = engine.advance(state, epoch, part)
+                seconds.append(time.perf_counter() - begun)
+                source.take(state.x)
+        except EstimationError:  # as in the run below, which says so
+            pass
+        # The same steps once more, in one compiled call, keep all that a track tells of them.
+        track = self.run(source.whole())
+        return replace(track, runtime_s=sum(seconds), step_s=np.array(seconds))
 
     def run(self, problem: Problem) -> Track:
         """Filter the whole pass."""

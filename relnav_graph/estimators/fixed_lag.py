@@ -37,6 +37,7 @@ from relnav_graph.estimators.gating import (
     residual_weights,
 )
 from relnav_graph.estimators.packing import pack, under, unpack
+from relnav_graph.estimators.source import Recorded, Source
 from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.problem import SAME_TIME, Epoch, Problem
 from relnav_graph.sweep import Anchor, anchor_of
@@ -238,20 +239,24 @@ class FixedLag:
 
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
-        start, engine, layout = time.perf_counter(), self.engine(problem), problem.layout
-        count, state, assembly = len(problem.epochs), engine.begin(), Assembly.of(problem)
+        return self.drive(Recorded(problem))
+
+    def drive(self, source: Source) -> Track:
+        """Estimate epochs as they come."""
+        engine, layout, count = self.engine(source.problem), source.problem.layout, source.count
+        state = engine.begin()
         x, smoothed_x = np.full((2, count, layout.size), np.nan)
         P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
         seconds, misfit, used, behind = list[float](), 0.0, 0, 0
         # Weights: of the newest epoch, as it left, in the end.
-        first, last, final = list[Array](), list[Array](), list[Array]()
-        status: Status = "diverged"
+        first, last, final, failed = list[Array](), list[Array](), list[Array](), ""
         try:
-            for k, epoch in enumerate(problem.epochs):
+            for k, (epoch, part) in enumerate(source):
                 begun = time.perf_counter()
-                state = engine.advance(state, epoch, assembly.at(k))
+                state = engine.advance(state, epoch, part)
                 seconds.append(time.perf_counter() - begun)
                 x[k], P[k], done = state.x, state.P, state.done
+                source.take(state.x)
                 assert done is not None
                 misfit, used = misfit + float(done.nis[0]), used + int(done.used[0])
                 first.append(done.weights)
@@ -261,11 +266,19 @@ class FixedLag:
                     smoothed_P[gone] = state.left.covariances()
                     last.append(state.left.weights)
                     behind = gone.stop
+        except UNSOLVED as error:
+            failed = str(error)
+        problem, ended = source.whole(), time.perf_counter()
+        reached, assembly = len(problem.epochs), Assembly.of(problem)
+        status: Status = "diverged"
+        try:
+            if failed:
+                raise EstimationError(failed)
             assert state.chain is not None
             end = engine.solve(state, state.chain.estimates(layout))
             final = [end.weights]
-            smoothed_x[behind:] = end.x[behind - count :]
-            smoothed_P[behind:] = end.conditionals.covariances()[behind - count :]
+            smoothed_x[behind:reached] = end.x[behind - reached :]
+            smoothed_P[behind:reached] = end.conditionals.covariances()[behind - reached :]
             status, message = judge(lost(assembly, np.concatenate(first)), problem, misfit, used)
         except UNSOLVED as error:
             message = str(error)
@@ -274,17 +287,17 @@ class FixedLag:
         smoothed = Track(
             name=f"{self.kind}_smoothed",
             kind="fixed-lag",
-            x=smoothed_x,
-            P=smoothed_P,
-            runtime_s=time.perf_counter() - start,
+            x=smoothed_x[:reached],
+            P=smoothed_P[:reached],
+            runtime_s=sum(seconds) + time.perf_counter() - ended,
             **_counts(assembly, [*last, *final]),
             **own,
         )
         return Track(
             name=self.kind,
             kind="filtered",
-            x=x,
-            P=P,
+            x=x[:reached],
+            P=P[:reached],
             runtime_s=sum(seconds),
             step_s=np.array(seconds),
             smoothed=smoothed,

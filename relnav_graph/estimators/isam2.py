@@ -15,7 +15,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
@@ -27,6 +27,7 @@ from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
 from relnav_graph.estimators.gating import count_downweighted, count_rejected, lost
+from relnav_graph.estimators.source import Recorded, Source
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.sweep import Anchor, Conditionals
 from relnav_graph.track import Status, Track
@@ -317,20 +318,30 @@ class Isam2:
 
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
-        start = time.perf_counter()
-        smoother = IncrementalSmoother(problem, self.ratio)
-        layout, count = problem.layout, len(problem.epochs)
-        seconds: list[float] = []
+        return self.drive(Recorded(problem))
+
+    def drive(self, source: Source) -> Track:
+        """Estimate epochs as they come."""
+        smoother = IncrementalSmoother(source.problem, self.ratio)
+        layout, count = source.problem.layout, source.count
+        seconds, failed = list[float](), ""
         x, smoothed_x = np.full((2, count, layout.size), np.nan)
         P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
+        try:
+            for k, (epoch, part) in enumerate(source):
+                begun = time.perf_counter()
+                x[k], P[k] = smoother.step(epoch, part)
+                seconds.append(time.perf_counter() - begun)
+                source.take(x[k])
+        except UNSOLVED as error:
+            failed = str(error)
+        problem, ended = source.whole(), time.perf_counter()
+        reached = len(problem.epochs)
         rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
         status: Status = "diverged"
-        assembly = Assembly.of(problem)
         try:
-            for k, epoch in enumerate(problem.epochs):
-                begun = time.perf_counter()
-                x[k], P[k] = smoother.step(epoch, assembly.at(k))
-                seconds.append(time.perf_counter() - begun)
+            if failed:
+                raise EstimationError(failed)
             assembly, solution = smoother.finish()
             smoothed_x, smoothed_P = solution.x, solution.conditionals.covariances()
             rejected |= count_rejected(assembly, solution.weights)
@@ -340,31 +351,24 @@ class Isam2:
             status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
         except UNSOLVED as error:
             message = str(error)
+        own: dict[str, Any] = {"layout": layout, "t": problem.times}
+        own |= {"status": status, "message": message}
+        own |= {"rejected": rejected, "downweighted": downweighted}
         smoothed = Track(
             name=f"{self.kind}_smoothed",
             kind="smoothed",
-            layout=layout,
-            t=problem.times,
-            x=smoothed_x,
-            P=smoothed_P,
-            status=status,
-            message=message,
-            runtime_s=time.perf_counter() - start,
-            rejected=rejected,
-            downweighted=downweighted,
+            x=smoothed_x[:reached],
+            P=smoothed_P[:reached],
+            runtime_s=sum(seconds) + time.perf_counter() - ended,
+            **own,
         )
         return Track(
             name=self.kind,
             kind="filtered",
-            layout=layout,
-            t=problem.times,
-            x=x,
-            P=P,
-            status=status,
-            message=message,
+            x=x[:reached],
+            P=P[:reached],
             runtime_s=sum(seconds),
             step_s=np.array(seconds),
-            rejected=rejected,
-            downweighted=downweighted,
             smoothed=smoothed,
+            **own,
         )

@@ -1,0 +1,156 @@
+"""Thienel, VanEepoel and Sanner's observer of a target's angular momentum."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+from relnav_graph.errors import EstimationError, GeometryError, ModelError
+from relnav_graph.estimators.source import Recorded, Source
+from relnav_graph.problem import Epoch, Problem
+from relnav_graph.state import TARGET_ATTITUDE, TARGET_RATE
+from relnav_graph.track import Status, Track
+
+__all__ = ["MomentumObserver"]
+
+Array = NDArray[np.float64]
+
+
+@jit
+def momentum_rate(inverse: Array, R_it: Array, h_i: Array) -> Array:
+    """w_ti_t (3,) of an angular momentum h_i (3,): J^-1 R_it^T h_i; inverse: J^-1 (3, 3)."""
+    return so3.rotate(inverse, so3.unrotate(R_it, h_i))
+
+
+@jit
+def observer_step(
+    numbers: Array, inverse: Array, R_hat: Array, h_i: Array, R_seen: Array, torque_t: Array
+) -> tuple[Array, Array]:
+    """R_hat and h_i after numbers[2] seconds, in which what was measured turns with the
+    target. numbers: k (1/s), beta (kg^2 m^4 / s^2), length (s); torque_t: known, in t."""
+    k, beta, dt = numbers
+    error = so3.quaternion(so3.transpose_multiply(R_hat, R_seen))  # its scalar is >= 0
+    e = so3.vector_at(error, 1)
+    change = so3.add_vector(torque_t, so3.rotate(inverse, e), 0.5 * beta)
+    h_next = so3.add_vector(h_i, so3.rotate(R_seen, change), dt)
+    # J^-1 R h of the measured attitude, half the interval on.
+    w = momentum_rate(inverse, R_seen, h_i)
+    half = np.empty(3)
+    for i in range(3):
+        half[i] = 0.5 * dt * w[i]
+    w = momentum_rate(inverse, so3.multiply(R_seen, so3.exp(half)), h_i)
+    turn = so3.add_vector(w, e, k)
+    turn = so3.unrotate(R_hat, so3.rotate(R_seen, turn))
+    for i in range(3):
+        turn[i] *= dt
+    return so3.project(so3.multiply(R_hat, so3.exp(turn))), h_next
+
+
+def _seen(problem: Problem, epoch: Epoch) -> Iterator[Array]:
+    """Attitudes of the target as measured in an epoch."""
+    for m in epoch.measurements:
+        sensor: Any = problem.sensors[m.sensor]
+        if hasattr(sensor, "starts"):
+            for values in sensor.starts(m.ids, sensor.accept(m.z), {}):
+                if TARGET_ATTITUDE.name in values:
+                    yield values[TARGET_ATTITUDE.name]
+
+
+@dataclass(frozen=True)
+class MomentumObserver:
+    """Nonlinear observer of attitude and angular momentum, h in i (no covariance).
+
+    With q~ = (e, n) from the predicted to the measured attitude: q^' by the rate
+    R(q~)^T (J^-1 R h^ + k e sign(n)), h^' = beta/2 R^T J^-1 e sign(n) + torque, and the rate
+    J^-1 R h^ at the predicted attitude (Thienel, VanEepoel, Sanner 2006, eqs. 6, 7, 10, 11).
+    The first measurement is where it begins, with no momentum. Between measurements the
+    innovation is held, in the target's axes; the estimate at a time has seen those before it.
+
+    The gains are not printed. Their linear theory about axis j: natural frequency
+    sqrt(beta) / (2 J_j), damping k / (4 natural frequency). frequency (rad/s), damping: at
+    the mean moment of inertia.
+    """
+
+    kind: ClassVar[str] = "momentum_observer"
+    frequency: float = 0.005
+    damping: float = 1.0
+
+    def run(self, problem: Problem) -> Track:
+        """Observe the whole pass."""
+        return self.drive(Recorded(problem))
+
+    def drive(self, source: Source) -> Track:
+        """Observe epochs as they come. Raises ModelError unless the state is an attitude and a
+        rate, advanced by a process that knows inertia and torque."""
+        process, inertia = _process(source.problem)
+        layout, count = source.problem.layout, source.count
+        x = np.full((count, layout.size), np.nan)
+        seconds, reached, message, status = list[float](), 0, "", "ok"
+        try:
+            steps = self._steps(source, process, inertia)
+            for reached, (values, length) in enumerate(steps, 1):
+                x[reached - 1] = layout.pack(values)
+                seconds.append(length)
+                source.take(x[reached - 1])
+        except (EstimationError, GeometryError) as error:
+            message, status = str(error), "diverged"
+        reached = len(source.whole().epochs)
+        found: Status = "ok" if status == "ok" else "diverged"
+        return Track(
+            name=self.kind,
+            kind="filtered",
+            layout=layout,
+            t=source.whole().times,
+            x=x[:reached],
+            P=np.full((reached, layout.dim, layout.dim), np.nan),
+            status=found,
+            message=message,
+            runtime_s=sum(seconds),
+            step_s=np.array(seconds),
+        )
+
+    def _steps(
+        self, source: Source, process: Any, inertia: Array
+    ) -> Iterator[tuple[dict[str, Array], float]]:
+        """The estimate at each epoch, and how long it took, s."""
+        inverse, mean = np.linalg.inv(inertia), np.trace(inertia) / 3
+        k, beta = 4 * self.damping * self.frequency, (2 * mean * self.frequency) ** 2
+        R_hat: Array | None = None
+        h_i, held, torque, t = np.zeros(3), np.eye(3), np.zeros(3), 0.0
+        for epoch, _ in source:
+            begun = time.perf_counter()
+            seen = next(_seen(source.problem, epoch), None)
+            if R_hat is None:
+                if seen is None:
+                    raise EstimationError(f"t = {epoch.t} s: no attitude to begin with")
+                R_hat = np.ascontiguousarray(seen)
+            else:
+                numbers = np.array([k, beta, epoch.t - t])
+                R_hat, h_i = observer_step(numbers, inverse, R_hat, h_i, held, torque)
+            if not (np.isfinite(h_i).all() and np.isfinite(R_hat).all()):
+                raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
+            t, held = epoch.t, R_hat if seen is None else np.ascontiguousarray(seen)
+            torque = process.torque(t, R_hat)
+            rate = momentum_rate(inverse, R_hat, h_i)
+            values = {TARGET_ATTITUDE.name: R_hat, TARGET_RATE.name: rate}
+            yield values, time.perf_counter() - begun
+
+
+def _process(problem: Problem) -> tuple[Any, Array]:
+    """The one process, and the inertia of its body."""
+    processes = list(problem.processes.values())
+    own = [p for p in processes if hasattr(p, "torque") and hasattr(p, "known_inertia")]
+    if problem.layout.blocks != (TARGET_ATTITUDE, TARGET_RATE) or len(own) != 1:
+        raise ModelError(
+            f"momentum_observer: found {problem.layout} with processes"
+            f" {[p.kind for p in processes]}, expected attitude and rate of a target, advanced"
+            " by gravity_gradient_rotation"
+        )
+    return own[0], np.ascontiguousarray(own[0].known_inertia)

@@ -1,0 +1,54 @@
+"""Where an estimator that takes one epoch at a time gets them from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.assembly import Assembly
+from relnav_graph.problem import Epoch, Problem
+
+__all__ = ["Recorded", "Source"]
+
+Array = NDArray[np.float64]
+
+
+class Source(Protocol):
+    """Epochs as they come: of a recording, or of a pass that is flown meanwhile.
+
+    problem: models and prior to begin with; count: how many epochs are to come, at most.
+    """
+
+    problem: Problem
+    count: int
+
+    def __iter__(self) -> Iterator[tuple[Epoch, Assembly]]:
+        """Each epoch, with its assembly."""
+
+    def take(self, x: Array) -> None:
+        """Be told the estimate (size,) at the newest epoch, before the next one comes."""
+
+    def whole(self) -> Problem:
+        """The problem with all epochs that have come."""
+
+
+class Recorded:
+    """The epochs of a problem."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.count = problem, len(problem.epochs)
+
+    def __iter__(self) -> Iterator[tuple[Epoch, Assembly]]:
+        assembly = Assembly.of(self.problem)
+        for k, epoch in enumerate(self.problem.epochs):
+            yield epoch, assembly.at(k)
+
+    def take(self, x: Array) -> None:
+        """It is no news to a recording."""
+
+    def whole(self) -> Problem:
+        """The problem itself."""
+        return self.problem

@@ -1,0 +1,235 @@
+"""Closed loops: estimators whose own estimates fly the chaser.
+
+At each epoch the sensors measure the truth, the estimator makes an estimate of it, the
+controller a command of the estimate, and the truth flies on to the next epoch with that
+command held. So each estimator flies a pass of its own, and its errors really move the craft;
+the noises are the same for all. What was flown is then scored like any other pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from relnav_graph import sim
+from relnav_graph.assembly import Assembly
+from relnav_graph.errors import (
+    EstimationError,
+    GeometryError,
+    InputError,
+    ModelError,
+)
+from relnav_graph.estimators import GROUP, diverged, try_estimator
+from relnav_graph.models import Measurement
+from relnav_graph.problem import SAME_TIME, Epoch, InputSeries, Problem, process_inputs
+from relnav_graph.recording import Recording
+from relnav_graph.registry import find_class
+from relnav_graph.scenario import Scenario
+from relnav_graph.sim.flight import Controller, Flight
+from relnav_graph.sim.own_models import ConstantInput
+from relnav_graph.track import Track, Truth
+
+__all__ = ["ClosedLoop", "Flown", "fly", "fly_all", "flies"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """A pass that was flown: the problem of it, and the track, which knows its truth."""
+
+    problem: Problem
+    track: Track
+
+
+class _Inputs:
+    """The inputs of a whole pass: their errors, drawn beforehand, wait for the true means.
+
+    truths: true values of biases by name, (N, channels) at all epochs.
+    """
+
+    def __init__(self, scenario: Scenario, times: Array, seed: int, run: int) -> None:
+        self._steady: dict[str, InputSeries] = {}
+        self._errors: dict[str, tuple[Array, Array]] = {}
+        self.truths: dict[str, Array] = {}
+        t0, t1 = float(times[0]), float(times[-1])
+        for name, source in scenario.inputs.items():
+            if isinstance(source, ConstantInput):
+                self._steady[name] = source.series(name, t0, t1)
+                continue
+            edges = source.edges(t0, t1)
+            columns = len(scenario.input_columns[name])
+            rng = sim.stream(seed, run, f"input {name}")
+            nothing = np.zeros((len(edges) - 1, columns))
+            series, bias = source.sample(nothing, edges[:-1], edges[1:], rng)
+            self._errors[name] = edges, series.values
+            self.truths[f"{name}_bias"] = bias[np.searchsorted(edges, times - SAME_TIME)]
+
+    def edges(self, t0: float, t1: float) -> dict[str, Array]:
+        """Of the samples of each input that the truth drives from t0 to t1, s."""
+        return {name: e[_span(name, e, t0, t1)] for name, (e, _) in self._errors.items()}
+
+    def over(self, t0: float, t1: float, means: Mapping[str, Array]) -> dict[str, InputSeries]:
+        """What the inputs read from t0 to t1, s, of true means."""
+        found = dict(self._steady)
+        for name, (e, errors) in self._errors.items():
+            part = _span(name, e, t0, t1)
+            own = slice(part.start, part.stop - 1)
+            values = means[name] + errors[own]
+            found[name] = InputSeries(name, e[own], e[own.start + 1 : part.stop], values)
+        return found
+
+
+def _span(name: str, edges: Array, t0: float, t1: float) -> slice:
+    """The edges from t0 to t1. Raises InputError when a sample lies across one of them."""
+    a, b = (int(k) for k in np.searchsorted(edges, np.array([t0, t1]) - SAME_TIME))
+    if max(abs(edges[a] - t0), abs(edges[b] - t1)) > SAME_TIME:
+        raise InputError(f"inputs.{name}: a sample lies across an epoch at {t0} s or {t1} s")
+    return slice(a, b + 1)
+
+
+class ClosedLoop:
+    """A pass as it is flown: a `relnav_graph.estimators.source.Source`.
+
+    Raises InputError when truth, controller and sensors do not go together, EstimationError
+    when the prior cannot be measured.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, run: int = 0) -> None:
+        assert scenario.control is not None
+        assert scenario.file.time is not None
+        self.scenario, self._law = scenario, scenario.control
+        self.times = scenario.file.time.step * np.arange(scenario.file.time.epochs, dtype=float)
+        self.count = len(self.times)
+        self._inputs = _Inputs(scenario, self.times, seed, run)
+        self._flight: Flight = scenario.truth.fly(
+            float(self.times[0]), sim.stream(seed, run, "truth")
+        )
+        self._streams = {
+            name: (sim.stream(seed, run, f"sensor {name}"), sim.stream(seed, run, f"outliers {name}"))
+            for name in scenario.sensors
+        }
+        self._values: list[Mapping[str, Array]] = []
+        self._epochs: list[Epoch] = []
+        self._command: Array | None = None
+        self._check(self._flight.values())
+        measurements = self._reached()
+        first = Recording(self.times[:1], measurements, {}, self.truth())
+        self.problem = replace(scenario.problem(first, seed, run), epochs=())
+        self._models = Assembly(
+            self.problem.layout, self.problem.processes, self.problem.sensors, []
+        )
+        self._epochs.append(Epoch(float(self.times[0]), measurements))
+
+    def _check(self, values: Mapping[str, Array]) -> None:
+        for name, sensor in self.scenario.sensors.items():
+            sim.check_known(name, sensor, values)
+        law = self._law
+        missing = [n for n in law.reads if n not in self.scenario.layout]
+        missing += [n for n in law.own if n not in values]
+        if missing:
+            raise InputError(f"control: {law.kind} needs {missing}, which nobody gives")
+
+    def _reached(self) -> tuple[Measurement, ...]:
+        """Note the truth where the flight is now, and measure it."""
+        k = len(self._values)
+        biases = {name: values[k] for name, values in self._inputs.truths.items()}
+        values = {**self._flight.values(), **biases}
+        self._values.append(values)
+        t, t0, found = float(self.times[k]), float(self.times[0]), []
+        for name, sensor in self.scenario.sensors.items():
+            timing = self.scenario.options[name].timing()
+            if timing.fires(t, t0):
+                x = [np.ascontiguousarray(values[b.name]) for b in sensor.reads]
+                m = sim.measure_once(name, sensor, timing, t, x, *self._streams[name])
+                found += [] if m is None else [m]
+        return tuple(found)
+
+    def _fly(self, t0: float, t1: float) -> Epoch:
+        """On to the next epoch."""
+        means = self._flight.advance(t1, self._command, self._inputs.edges(t0, t1))
+        series = self._inputs.over(t0, t1, means)
+        measurements = self._reached()
+        u = {n: process_inputs(p, series, t0, t1) for n, p in self.problem.processes.items()}
+        return Epoch(t1, measurements, u)
+
+    def __iter__(self) -> Iterator[tuple[Epoch, Assembly]]:
+        yield self._epochs[0], self._models.again(self._epochs[0], None)
+        for t0, t1 in zip(self.times[:-1].tolist(), self.times[1:].tolist(), strict=True):
+            self._epochs.append(self._fly(t0, t1))
+            yield self._epochs[-1], self._models.again(self._epochs[-1], t0)
+
+    def take(self, x: Array) -> None:
+        """Make the next command of an estimate. Raises EstimationError on one that is not
+        finite."""
+        law, t = self._law, self._epochs[-1].t
+        if t < law.start - SAME_TIME:
+            return
+        layout, values = self.problem.layout, self._values[-1]
+        estimate = {name: layout.value(x, name) for name in law.reads}
+        command = np.asarray(law.command(t, estimate, {name: values[name] for name in law.own}))
+        if not np.isfinite(command).all():
+            raise EstimationError(f"t = {t} s: found the command {command}, expected finite ones")
+        self._command = command
+
+    def whole(self) -> Problem:
+        """The problem of what was flown."""
+        return replace(self.problem, epochs=tuple(self._epochs))
+
+    def truth(self) -> Truth:
+        """The truth of what was flown."""
+        names = [b.name for b in self.scenario.layout if b.name in self._values[0]]
+        needed = [*names, *(n for n in self._values[0] if n not in names)]
+        values = {n: np.array([v[n] for v in self._values]) for n in needed}
+        known = {n: values[n] for n in names}
+        known |= self._law.control_errors(values)
+        return Truth(self.times[: len(self._values)], known, self.scenario.truth.source)
+
+
+def flies(kind: str) -> bool:
+    """Whether an estimator of a kind takes one epoch at a time. Raises ModelError."""
+    return hasattr(find_class(GROUP, kind), "drive")
+
+
+def fly(scenario: Scenario, kind: str, seed: int, run: int = 0) -> Flown:
+    """The pass that an estimator flies. One that diverges ends its own flight, and says so.
+
+    Raises InputError as `ClosedLoop` does, ModelError on an estimator that is for whole
+    passes only.
+    """
+    if not flies(kind):
+        raise ModelError(f"estimator {kind!r} is for whole passes; it cannot fly one")
+    loop = ClosedLoop(scenario, seed, run)
+    estimator: Any = find_class(GROUP, kind)()
+    # A filter that diverges overflows before its status says so.
+    with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
+        try:
+            track = estimator.drive(loop)
+        except (EstimationError, GeometryError, ModelError, np.linalg.LinAlgError) as error:
+            track = diverged(kind, loop.whole(), error)
+    truth = loop.truth()
+    ahead = track.smoothed and replace(track.smoothed, truth=truth)
+    track = replace(track, truth=truth, controlled=scenario.control.controlled, smoothed=ahead)
+    return Flown(loop.whole(), track)
+
+
+def fly_all(
+    scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0
+) -> Iterator[Flown]:
+    """What each estimator flies; one for whole passes smooths what the last one that flew
+    has flown. Raises InputError when there is none before it, and as `fly` does."""
+    last: Flown | None = None
+    for kind in kinds:
+        if flies(kind):
+            last = fly(scenario, kind, seed, run)
+            yield last
+            continue
+        if last is None:
+            raise InputError(f"estimator {kind!r} smooths what another has flown: name one before")
+        track = try_estimator(kind, last.problem)
+        yield Flown(last.problem, replace(track, truth=last.track.truth))
