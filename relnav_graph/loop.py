@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,11 +31,11 @@ from relnav_graph.problem import SAME_TIME, Epoch, InputSeries, Problem, process
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario
-from relnav_graph.sim.flight import Controller, Flight
+from relnav_graph.sim.flight import Flight
 from relnav_graph.sim.own_models import ConstantInput
 from relnav_graph.track import Track, Truth
 
-__all__ = ["ClosedLoop", "Flown", "fly", "fly_all", "flies"]
+__all__ = ["ClosedLoop", "Flown", "flies", "fly", "fly_all", "warm_up"]
 
 Array = NDArray[np.float64]
 
@@ -101,17 +102,21 @@ class ClosedLoop:
     """
 
     def __init__(self, scenario: Scenario, seed: int, run: int = 0) -> None:
-        assert scenario.control is not None
-        assert scenario.file.time is not None
-        self.scenario, self._law = scenario, scenario.control
-        self.times = scenario.file.time.step * np.arange(scenario.file.time.epochs, dtype=float)
+        if scenario.control is None:
+            raise InputError(f"{scenario.name}: no [control], so there is no loop to fly")
+        if scenario.truth is None:
+            raise InputError(f"{scenario.name}: no [truth] to fly")
+        self.scenario, self._law, self.times = scenario, scenario.control, scenario.times
         self.count = len(self.times)
         self._inputs = _Inputs(scenario, self.times, seed, run)
         self._flight: Flight = scenario.truth.fly(
             float(self.times[0]), sim.stream(seed, run, "truth")
         )
         self._streams = {
-            name: (sim.stream(seed, run, f"sensor {name}"), sim.stream(seed, run, f"outliers {name}"))
+            name: (
+                sim.stream(seed, run, f"sensor {name}"),
+                sim.stream(seed, run, f"outliers {name}"),
+            )
             for name in scenario.sensors
         }
         self._values: list[Mapping[str, Array]] = []
@@ -158,11 +163,16 @@ class ClosedLoop:
         u = {n: process_inputs(p, series, t0, t1) for n, p in self.problem.processes.items()}
         return Epoch(t1, measurements, u)
 
-    def __iter__(self) -> Iterator[tuple[Epoch, Assembly]]:
-        yield self._epochs[0], self._models.again(self._epochs[0], None)
-        for t0, t1 in zip(self.times[:-1].tolist(), self.times[1:].tolist(), strict=True):
+    def __iter__(self) -> Iterator[Epoch]:
+        yield self._epochs[0]
+        for t0, t1 in pairwise(self.times.tolist()):
             self._epochs.append(self._fly(t0, t1))
-            yield self._epochs[-1], self._models.again(self._epochs[-1], t0)
+            yield self._epochs[-1]
+
+    def assembly(self) -> Assembly:
+        """Of the newest epoch."""
+        before = self._epochs[-2].t if len(self._epochs) > 1 else None
+        return self._models.again(self._epochs[-1], before)
 
     def take(self, x: Array) -> None:
         """Make the next command of an estimate. Raises EstimationError on one that is not
@@ -214,13 +224,12 @@ def fly(scenario: Scenario, kind: str, seed: int, run: int = 0) -> Flown:
             track = diverged(kind, loop.whole(), error)
     truth = loop.truth()
     ahead = track.smoothed and replace(track.smoothed, truth=truth)
-    track = replace(track, truth=truth, controlled=scenario.control.controlled, smoothed=ahead)
+    controlled = scenario.control.controlled if scenario.control is not None else ()
+    track = replace(track, truth=truth, controlled=controlled, smoothed=ahead)
     return Flown(loop.whole(), track)
 
 
-def fly_all(
-    scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0
-) -> Iterator[Flown]:
+def fly_all(scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0) -> Iterator[Flown]:
     """What each estimator flies; one for whole passes smooths what the last one that flew
     has flown. Raises InputError when there is none before it, and as `fly` does."""
     last: Flown | None = None
@@ -233,3 +242,12 @@ def fly_all(
             raise InputError(f"estimator {kind!r} smooths what another has flown: name one before")
         track = try_estimator(kind, last.problem)
         yield Flown(last.problem, replace(track, truth=last.track.truth))
+
+
+def warm_up(scenario: Scenario, kinds: Sequence[str], seed: int) -> None:
+    """Compile what estimators need to fly, on a few epochs."""
+    assert scenario.file.time is not None
+    few = scenario.file.time.model_copy(update={"epochs": min(4, scenario.file.time.epochs)})
+    short = replace(scenario, file=scenario.file.model_copy(update={"time": few}))
+    for _ in fly_all(short, kinds, seed):
+        pass

@@ -95,8 +95,16 @@ class Scenario:
             return None
         return max(low, 0.0), min(high, 1.0)
 
+    @property
+    def times(self) -> Array:
+        """Epochs (N,) of a simulated pass, s. Raises InputError without [time]."""
+        if self.file.time is None:
+            raise InputError(f"{self.name}: no [time] to simulate at")
+        return self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
+
     def simulate(self, seed: int, run: int = 0) -> Recording:
-        """A simulated pass. Raises InputError when the scenario is not for simulation."""
+        """A simulated pass, without any control. Raises InputError when the scenario is not
+        for simulation."""
         if self.truth is None or self.file.time is None:
             raise InputError(
                 f"{self.name}: no [truth] and [time] to simulate from; give recorded data"
@@ -109,10 +117,8 @@ class Scenario:
                     f" of time.step, {self.file.time.step} s"
                 )
         timings = {name: o.timing() for name, o in self.options.items()}
-        times = self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
-        return sim.simulate(
-            self.truth, self.inputs, self.processes, self.sensors, timings, times, seed, run
-        )
+        models = self.processes, self.sensors
+        return sim.simulate(self.truth, self.inputs, *models, timings, self.times, seed, run)
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.state import Layout
+from relnav_graph.state import Block, Layout
 
 __all__ = ["Innovations", "Kind", "Status", "Track", "Truth"]
 

@@ -15,6 +15,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.estimators import GROUP, try_estimator
 from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
 from relnav_graph.io.readers import read_raw
+from relnav_graph.loop import fly_all, warm_up
 from relnav_graph.metrics import summary
 from relnav_graph.models import derived_quantities
 from relnav_graph.recording import Recording
@@ -32,7 +33,8 @@ class Pass:
     """A scenario with the recording it is run on.
 
     seed: root of what is drawn, the prior's mean at least; simulated: whether the recording
-    was drawn from it too; run: which of the runs of a study it is.
+    was drawn from it too; run: which of the runs of a study it is; flown: whether estimators
+    are to fly it themselves, in loops: the recording then holds the times alone.
     """
 
     scenario: Scenario
@@ -40,6 +42,7 @@ class Pass:
     seed: int
     simulated: bool
     run: int = 0
+    flown: bool = False
 
 
 def is_dataset(folder: Path) -> bool:
@@ -74,8 +77,11 @@ def open_pass(
     data: Path | None,
     assignments: Sequence[str],
     run: int = 0,
+    loops: bool = False,
 ) -> Pass:
     """A scenario with simulated data, a data set, or a folder that its reader knows.
+
+    loops: a scenario with a controller is not simulated, but left to be flown.
 
     Raises InputError on whatever is wrong with any of them.
     """
@@ -83,6 +89,8 @@ def open_pass(
     if data is None:
         scenario = load_scenario(path, assignments)
         seed = scenario.file.seed if seed is None else seed
+        if loops and scenario.control is not None:
+            return Pass(scenario, Recording(scenario.times, ()), seed, True, run, True)
         return Pass(scenario, scenario.simulate(seed, run), seed, True, run)
     _need_folder(data)
     if is_dataset(data):
@@ -136,26 +144,42 @@ def check_before_work(kinds: Sequence[str], out: Path | None) -> None:
 
 
 def estimate(run: Pass, kinds: Sequence[str]) -> tuple[list[Track], dict[str, Any]]:
-    """Run estimators on one problem; their tracks, and the summary of section `--json`."""
-    problem = run.scenario.problem(run.recording, run.seed, run.run)
-    window = run.scenario.window(problem.times)
+    """Run estimators on one problem, or in loops; their tracks, and the summary of section
+    `--json`."""
     chosen = list(dict.fromkeys(kinds or run.scenario.file.estimators))
-    for kind in chosen:  # what is not compiled yet must not count as run time
-        try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
-    tracks = []
-    for kind in chosen:
-        show_progress(f"{kind}: {len(problem.epochs)} epochs ...")
-        tracks.append(try_estimator(kind, problem))
+    if run.flown:
+        tracks = _flown(run, chosen)
+        times = run.recording.times
+    else:
+        problem = run.scenario.problem(run.recording, run.seed, run.run)
+        times = problem.times
+        for kind in chosen:  # what is not compiled yet must not count as run time
+            try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
+        tracks = []
+        for kind in chosen:
+            show_progress(f"{kind}: {len(times)} epochs ...")
+            tracks.append(try_estimator(kind, problem))
     found = summary(
         run.scenario.name,
         run.seed if run.simulated else None,
         tracks,
         run.recording.truth,
         derived_quantities(run.scenario.layout),
-        window,
-        len(problem.epochs),
+        run.scenario.window(times),
+        len(times),
     )
     return tracks, found
+
+
+def _flown(run: Pass, kinds: Sequence[str]) -> list[Track]:
+    """The tracks of estimators in loops, each on a pass of its own."""
+    show_progress(f"{run.scenario.name}: each of {', '.join(kinds)} flies a pass of its own ...")
+    warm_up(run.scenario, kinds, run.seed)
+    tracks = []
+    for done in fly_all(run.scenario, kinds, run.seed, run.run):
+        show_progress(f"{done.track.name}: {len(done.problem.epochs)} epochs")
+        tracks.append(done.track)
+    return tracks
 
 
 def write_outputs(out: Path, run: Pass, tracks: Sequence[Track], found: dict[str, Any]) -> None:

@@ -31,10 +31,11 @@ def command(
     """Run estimators on SCENARIO and score them against the truth.
 
     The pass is simulated, or recorded (--data: a data set, or a folder for the reader
-    that the scenario names). All estimators get the same measurements, models and prior.
+    that the scenario names). All estimators get the same measurements, models and prior. Of a
+    scenario with a controller, each estimator flies a pass of its own, with the same noises.
     """
     check_before_work(kinds, out)
-    run = open_pass(scenario, seed, data, assignments, number)
+    run = open_pass(scenario, seed, data, assignments, number, loops=True)
     tracks, found = estimate(run, kinds)
     if out is not None:
         write_outputs(out, run, tracks, found)

@@ -295,8 +295,8 @@ class Ekf:
         engine, seconds = self.engine(source.problem), list[float]()
         state = engine.begin()
         try:
-            for epoch, part in source:
-                begun = time.perf_counter()
+            for epoch in source:
+                part, begun = source.assembly(), time.perf_counter()
                 state = engine.advance(state, epoch, part)
                 seconds.append(time.perf_counter() - begun)
                 source.take(state.x)

@@ -251,8 +251,8 @@ class FixedLag:
         # Weights: of the newest epoch, as it left, in the end.
         first, last, final, failed = list[Array](), list[Array](), list[Array](), ""
         try:
-            for k, (epoch, part) in enumerate(source):
-                begun = time.perf_counter()
+            for k, epoch in enumerate(source):
+                part, begun = source.assembly(), time.perf_counter()
                 state = engine.advance(state, epoch, part)
                 seconds.append(time.perf_counter() - begun)
                 x[k], P[k], done = state.x, state.P, state.done

@@ -328,8 +328,8 @@ class Isam2:
         x, smoothed_x = np.full((2, count, layout.size), np.nan)
         P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
         try:
-            for k, (epoch, part) in enumerate(source):
-                begun = time.perf_counter()
+            for k, epoch in enumerate(source):
+                part, begun = source.assembly(), time.perf_counter()
                 x[k], P[k] = smoother.step(epoch, part)
                 seconds.append(time.perf_counter() - begun)
                 source.take(x[k])

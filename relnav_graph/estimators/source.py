@@ -25,8 +25,11 @@ class Source(Protocol):
     problem: Problem
     count: int
 
-    def __iter__(self) -> Iterator[tuple[Epoch, Assembly]]:
-        """Each epoch, with its assembly."""
+    def __iter__(self) -> Iterator[Epoch]:
+        """Each epoch when it comes."""
+
+    def assembly(self) -> Assembly:
+        """Of the newest epoch."""
 
     def take(self, x: Array) -> None:
         """Be told the estimate (size,) at the newest epoch, before the next one comes."""
@@ -40,11 +43,15 @@ class Recorded:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.count = problem, len(problem.epochs)
+        self._assembly, self._newest = Assembly.of(problem), -1
 
-    def __iter__(self) -> Iterator[tuple[Epoch, Assembly]]:
-        assembly = Assembly.of(self.problem)
-        for k, epoch in enumerate(self.problem.epochs):
-            yield epoch, assembly.at(k)
+    def __iter__(self) -> Iterator[Epoch]:
+        for self._newest, epoch in enumerate(self.problem.epochs):  # noqa: B020
+            yield epoch
+
+    def assembly(self) -> Assembly:
+        """Of the newest epoch."""
+        return self._assembly.at(self._newest)
 
     def take(self, x: Array) -> None:
         """It is no news to a recording."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -97,19 +98,25 @@ class AttitudeTracking:
         check_fields(self)
         for name in ("target_inertia", "chaser_inertia"):
             check_inertia(f"AttitudeTracking.{name}", getattr(self, name))
+
+    @cached_property
+    def _orbit(self) -> Array:
         elements = self.semi_major_axis, self.inclination, self.raan, self.argument_of_latitude
+        return circular_orbit(*elements, 0.0)
+
+    @cached_property
+    def _gains_and_inertias(self) -> tuple[Array, Array]:
         J_t, J_c = self.target_inertia, self.chaser_inertia
-        gains = np.array([self.attitude_gain, self.rate_gain])
-        object.__setattr__(self, "_orbit", circular_orbit(*elements, 0.0))
-        object.__setattr__(self, "_law", (gains, np.array([J_t, np.linalg.inv(J_t), J_c])))
+        inertias = np.array([J_t, np.linalg.inv(J_t), J_c])
+        return np.array([self.attitude_gain, self.rate_gain]), inertias
 
     def command(self, t: float, estimate: Mapping[str, Array], own: Mapping[str, Array]) -> Array:
         """Torque on the chaser (3,), N m, in c."""
         found: Array = tracking_torque(
-            *self._law,  # type: ignore[attr-defined]
+            *self._gains_and_inertias,
             _pose(estimate["target_attitude"], estimate["target_rate"]),
             _pose(own["chaser_attitude"], own["chaser_rate"]),
-            self._orbit,  # type: ignore[attr-defined]
+            self._orbit,
             t,
         )
         return found

@@ -116,7 +116,9 @@ class ControlledBodies:
         for now in t:
             flight.advance(float(now), None, {})
             found.append(flight.values())
-        return Truth(t, {name: np.array([v[name] for v in found]) for name in found[0]}, self.source)
+        return Truth(
+            t, {name: np.array([v[name] for v in found]) for name in found[0]}, self.source
+        )
 
     def mean_rate(self, t_start: Array, t_end: Array) -> Array:
         """Raises InputError: the rate depends on commands, and no input is driven here."""

@@ -75,12 +75,14 @@ class RowRuns:
 
 @dataclass(eq=False)
 class Collected:
-    """All runs; bound: 1-sigma by kind and state, one number per run."""
+    """All runs; bound: 1-sigma by kind and state, one number per run; own_bound: by row and
+    state, where each estimator flies a pass of its own."""
 
     runs: list[int] = field(default_factory=list)
     rows: dict[str, RowRuns] = field(default_factory=dict)
     failed: list[tuple[int, str]] = field(default_factory=list)
     bound: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    own_bound: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     bound_series: dict[str, _Sum] = field(default_factory=dict)
     mcreynolds: dict[tuple[str, str, str, str], list[float]] = field(default_factory=dict)
 
@@ -141,6 +143,8 @@ def _add(found: Collected, record: Record) -> None:
             _put(row.own, "cost", residuals["cost"], before)
         if f"coupling {name}" in record.series:
             row.coupling.add(record.series[f"coupling {name}"])
+        for state, value in values.get("bound", {}).items():
+            _put(found.own_bound, (name, state), value, before)
     for kind, states in scalars["bound"].items():
         for state, value in states.items():
             _put(found.bound, (kind, state), value, before)
@@ -155,7 +159,7 @@ def _add(found: Collected, record: Record) -> None:
 
 def _pad(found: Collected) -> None:
     """Numbers of all runs in every column, also where the last runs have none."""
-    tables: list[dict[Any, list[float]]] = [found.bound, found.mcreynolds]
+    tables: list[dict[Any, list[float]]] = [found.bound, found.own_bound, found.mcreynolds]
     for row in found.rows.values():
         tables += [row.own, row.timing, row.state, row.sensor, row.squares]
     for table in tables:

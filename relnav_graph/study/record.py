@@ -190,45 +190,79 @@ def _row_scalars(row: _Row, score: Score, bound: Mapping[str, StateEstimates]) -
     }
 
 
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """Of a pass: the bounds by kind, their sigmas by kind and state, series by kind."""
+
+    states: Mapping[str, Mapping[str, StateEstimates]]
+    sigmas: Mapping[str, Mapping[str, float | None]]
+    series: Mapping[str, Array]
+
+
+def _limits(
+    problem: Problem, x: Array, derived: Sequence[Derived], evaluate: tuple[float, float] | None
+) -> _Limits:
+    """Raises RelnavError when there are no bounds along x (N, size)."""
+    limit = bounds(problem, x)
+    states: dict[str, Mapping[str, StateEstimates]] = {}
+    sigmas: dict[str, Mapping[str, float | None]] = {}
+    series: dict[str, Array] = {}
+    for track in (limit.filtered, limit.smoothed):
+        states[track.kind] = estimates(track, derived)
+        found = score_of(track, states[track.kind], {}, evaluate)
+        sigmas[track.kind] = {n: s.sigma for n, s in found.states.items()}
+        row = _Row(track, states[track.kind], {})
+        series[track.kind] = _series(row, list(row.states))
+    return _Limits(states, sigmas, series)
+
+
+#: Problem, truth and tracks of one pass.
+Passed = tuple[Problem, Truth | None, Sequence[Track]]
+
+
 def make_record(
     run: int,
-    problem: Problem,
-    truth: Truth | None,
-    tracks: Sequence[Track],
+    passes: Sequence[Passed],
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None,
     rng: np.random.Generator,
 ) -> Record:
-    """The record of a run. rng: for what is estimated by random probes.
+    """The record of a run: of one pass, or of several where each estimator has flown its own.
 
-    Raises InputError where truth and tracks do not fit together.
+    Bounds are taken along each truth; passes with the same true states, as of a target that
+    no control moves, share them. rng: for what is estimated by random probes. Raises
+    InputError where truth and tracks do not fit together.
     """
     scalars: dict[str, Any] = {"run": run, "rows": {}, "bound": {}, "noise": {}, "timing": {}}
     series: dict[str, Array] = {}
-    limits: dict[str, dict[str, StateEstimates]] = {}
-    try:
-        limit = bounds(problem, true_trajectory(problem, truth))
-        limits = {t.kind: estimates(t, derived) for t in (limit.filtered, limit.smoothed)}
-        for track in (limit.filtered, limit.smoothed):
-            found = score_of(track, limits[track.kind], {}, evaluate)
-            scalars["bound"][track.kind] = {n: s.sigma for n, s in found.states.items()}
-            row = _Row(track, limits[track.kind], {})
-            series[f"bound {track.kind}"] = _series(row, list(row.states))
-    except RelnavError as error:
-        scalars["bound_missing"] = str(error)
     rows: dict[str, _Row] = {}
-    for name, track in with_smoothed(tracks).items():
-        states = estimates(track, derived)
-        errors = {} if truth is None else deviations(states, track.t, truth, derived)
-        row = rows[name] = _Row(track, states, errors)
-        score = score_of(track, states, errors, evaluate)
-        limit_states = limits.get("filtered" if track.kind == "filtered" else "smoothed", {})
-        scalars["rows"][name] = _row_scalars(row, score, limit_states)
-        scalars["timing"][name] = {"runtime_s": track.runtime_s, **step_ms(track.step_s)}
-        series[name] = _series(row, list(states))
-        series[f"nis {name}"] = _nis_series(track, list(track.innovations))
-        if track.kind == "smoothed" and track.status != "diverged":
-            _add_noise(scalars, series, name, problem, track, rng if run < COUPLED_RUNS else None)
+    x_before, limits = np.zeros(0), None
+    for problem, truth, tracks in passes:
+        try:
+            x = true_trajectory(problem, truth)
+            if limits is None or not np.array_equal(x, x_before):
+                x_before, limits = x, _limits(problem, x, derived, evaluate)
+        except RelnavError as error:
+            scalars["bound_missing"], limits = str(error), None
+        if limits is not None and not scalars["bound"]:  # figures show those of the first pass
+            scalars["bound"] |= limits.sigmas
+            series |= {f"bound {kind}": s for kind, s in limits.series.items()}
+        for name, track in with_smoothed(tracks).items():
+            states = estimates(track, derived)
+            errors = {} if truth is None else deviations(states, track.t, truth, derived)
+            row = rows[name] = _Row(track, states, errors)
+            score = score_of(track, states, errors, evaluate)
+            kind = "filtered" if track.kind == "filtered" else "smoothed"
+            own = {} if limits is None else limits.states[kind]
+            scalars["rows"][name] = _row_scalars(row, score, own)
+            if limits is not None and len(passes) > 1:
+                scalars["rows"][name]["bound"] = limits.sigmas.get(track.kind, {})
+            scalars["timing"][name] = {"runtime_s": track.runtime_s, **step_ms(track.step_s)}
+            series[name] = _series(row, list(states))
+            series[f"nis {name}"] = _nis_series(track, list(track.innovations))
+            if track.kind == "smoothed" and track.status != "diverged":
+                probes = rng if run < COUPLED_RUNS else None
+                _add_noise(scalars, series, name, problem, track, probes)
     scalars["mcreynolds"] = {
         f: {s: _mcreynolds(a.states, b.states) for s, b in rows.items() if _pair(a, b)}
         for f, a in rows.items()
@@ -238,6 +272,9 @@ def make_record(
 
 
 def _pair(a: _Row, b: _Row) -> bool:
+    """Whether b smooths, without divergence, the pass that a has filtered."""
+    if a.track.truth is not b.track.truth:
+        return False
     return b.track.kind == "smoothed" and "diverged" not in (a.track.status, b.track.status)
 
 

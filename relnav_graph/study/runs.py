@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph import sim
+from relnav_graph import loop, sim
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators import try_estimator
 from relnav_graph.models import derived_quantities
@@ -63,6 +63,9 @@ def _prepared(spec_json: str) -> tuple[StudySpec, Scenario]:
 def warm_up(spec_json: str) -> None:
     """Compile what the runs will need, in time for workers to find it compiled."""
     spec, scenario = _prepared(spec_json)
+    if scenario.control is not None:
+        loop.warm_up(scenario, spec.estimators, spec.seed)
+        return
     problem = scenario.problem(scenario.simulate(spec.seed, 0), spec.seed, 0)
     for kind in spec.estimators:
         try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
@@ -81,14 +84,15 @@ def run_record(spec_json: str, run: int) -> bytes:
 
 
 def _run(spec: StudySpec, scenario: Scenario, run: int) -> Record:
-    recording = scenario.simulate(spec.seed, run)
-    problem = scenario.problem(recording, spec.seed, run)
-    return make_record(
-        run,
-        problem,
-        recording.truth,
-        [try_estimator(kind, problem) for kind in spec.estimators],
+    rest = (
         derived_quantities(scenario.layout),
-        scenario.window(problem.times),
+        scenario.window(scenario.times),
         sim.stream(spec.seed, run, "probes"),
     )
+    if scenario.control is not None:
+        flown = list(loop.fly_all(scenario, spec.estimators, spec.seed, run))
+        return make_record(run, [(f.problem, f.track.truth, [f.track]) for f in flown], *rest)
+    recording = scenario.simulate(spec.seed, run)
+    problem = scenario.problem(recording, spec.seed, run)
+    tracks = [try_estimator(kind, problem) for kind in spec.estimators]
+    return make_record(run, [(problem, recording.truth, tracks)], *rest)

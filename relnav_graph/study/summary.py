@@ -148,8 +148,11 @@ def _row(name: str, found: Collected, intervals: dict[tuple[str, str], Any]) -> 
     anees = np.array(row.own.get("anees", []))
     counted = int(np.isfinite(anees).sum())
     # A fixed-lag estimate lies between both bounds, and has none of its own.
-    bound = {s: np.array(found.bound.get((row.kind, s), np.full(len(found.runs), np.nan)))
-             for s in row.units}  # fmt: skip
+    none = [np.nan] * len(found.runs)
+    bound = {
+        s: np.array(found.own_bound.get((name, s), found.bound.get((row.kind, s), none)))
+        for s in row.units
+    }
     return {
         "kind": row.kind,
         "status": status,

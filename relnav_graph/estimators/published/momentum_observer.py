@@ -120,11 +120,12 @@ class MomentumObserver:
         self, source: Source, process: Any, inertia: Array
     ) -> Iterator[tuple[dict[str, Array], float]]:
         """The estimate at each epoch, and how long it took, s."""
-        inverse, mean = np.linalg.inv(inertia), np.trace(inertia) / 3
+        inverse = np.asarray(np.linalg.inv(inertia), dtype=np.float64)
+        mean = np.trace(inertia) / 3
         k, beta = 4 * self.damping * self.frequency, (2 * mean * self.frequency) ** 2
         R_hat: Array | None = None
         h_i, held, torque, t = np.zeros(3), np.eye(3), np.zeros(3), 0.0
-        for epoch, _ in source:
+        for epoch in source:
             begun = time.perf_counter()
             seen = next(_seen(source.problem, epoch), None)
             if R_hat is None:
