@@ -20,6 +20,7 @@ from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
 from factors.euler_rotation import EulerRotation
 from factors.gps_position import GpsPosition
+from factors.gravity_gradient_rotation import GravityGradientRotation
 from factors.gyro_bias import GyroBias
 from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from factors.orbit_two_body import OrbitTwoBody
@@ -223,6 +224,13 @@ def rotation(**options: Any) -> DynamicsExample:
     return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios))
 
 
+def pulled(**options: Any) -> DynamicsExample:
+    model = GravityGradientRotation(
+        torque_density=1e-5, known_inertia=HU_INERTIA, semi_major_axis=7.2e6, **options
+    )
+    return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3))
+
+
 def constant_velocity(**options: Any) -> DynamicsExample:
     model = WhiteNoiseAcceleration(acceleration_density=1e-3, **options)
     return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6))
@@ -295,6 +303,10 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         rotation(inertia="full", orbit=LOW),
         rotation(inertia="known", known_inertia=HU_INERTIA),
         rotation(inertia="full", integrator="euler", max_step=0.2, rate="body_rate"),
+    ),
+    "gravity_gradient_rotation": (
+        pulled(),
+        pulled(eccentricity=0.05, true_anomaly=0.3, inclination=0.9, raan=2.1, max_step=0.5),
     ),
     "gyro_bias": (
         gyro(1e-4, 1e-6, orbit=LOW),

@@ -1,0 +1,387 @@
+"""Closed loops: each estimator flies a pass of its own, by its own estimates."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from passes import EXPERIMENTS, relnav
+
+from relnav_graph import so3
+from relnav_graph.deviation import errors
+from relnav_graph.errors import EstimationError, InputError, ModelError
+from relnav_graph.estimators import run_estimator
+from relnav_graph.estimators.ekf import Ekf
+from relnav_graph.estimators.source import Source
+from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
+from relnav_graph.scenario import Scenario, load_scenario, make_scenario
+from relnav_graph.state import Block
+from relnav_graph.track import Track, Truth
+
+Array = NDArray[np.float64]
+THIENEL = EXPERIMENTS / "thienel2006.toml"
+#: The published loop in ten minutes, with the better noise from 200 s on.
+SHORT = (
+    "time.epochs=601",
+    'control.start="100 s"',
+    'sensors.far.end="200 s"',
+    'sensors.near.begin="200 s"',
+    "evaluate=[0.8, 1.0]",
+)
+FLYING = ("momentum_observer", "ekf", "iekf", "isam2", "fixed_lag")
+
+
+def short(*settings: str) -> Scenario:
+    return load_scenario(THIENEL, [*SHORT, *settings])
+
+
+def stamps(flown: Flown) -> list[tuple[float, str, Any]]:
+    """All that was measured."""
+    return [
+        (m.t, m.sensor, m.z.tolist()) for epoch in flown.problem.epochs for m in epoch.measurements
+    ]
+
+
+def truth_of(flown: Flown) -> Truth:
+    assert flown.track.truth is not None
+    return flown.track.truth
+
+
+def last_error(flown: Flown, name: str) -> float:
+    """Size of an error over the last tenth of the pass, RMS, rad or rad/s."""
+    e = errors(flown.track, truth_of(flown), [])[name].e
+    return float(np.sqrt((e[-len(e) // 10 :] ** 2).sum(axis=1).mean()))
+
+
+@dataclass(frozen=True)
+class Biased(Ekf):
+    """A filter that says that the target is turned by ten degrees more than it finds."""
+
+    kind: ClassVar[str] = "biased"
+
+    def drive(self, source: Source) -> Track:
+        """Filter, and tell something else."""
+        honest, layout = source.take, source.problem.layout
+        turn = np.zeros(layout.dim)
+        turn[layout.tangent("target_attitude")] = np.radians(10.0), 0.0, 0.0
+        source.take = lambda x: honest(layout.retract(x, turn))  # type: ignore[method-assign]
+        return super().drive(source)
+
+
+@dataclass(frozen=True)
+class Failing(Ekf):
+    """A filter that gives up after 60 s."""
+
+    kind: ClassVar[str] = "failing"
+
+    def drive(self, source: Source) -> Track:
+        """Filter for a while."""
+        for epoch in source:
+            if epoch.t > 59.5:
+                raise EstimationError("gave up")
+            source.take(source.problem.prior.x)
+        raise AssertionError("unreachable")
+
+
+@pytest.fixture(scope="module")
+def flown() -> dict[str, Flown]:
+    """What each estimator flies in ten minutes; rts and batch smooth what the ekf has flown."""
+    kinds = ("momentum_observer", "ekf", "rts", "batch", "isam2", "fixed_lag")
+    return dict(zip(kinds, fly_all(short(), kinds, seed=3), strict=True))
+
+
+def test_loops_end_well(flown: dict[str, Flown]) -> None:
+    """The smoother-fed loops at a fraction of a degree; the observer still converges."""
+    assert {f.track.status for f in flown.values()} == {"ok"}
+    for kind in ("ekf", "isam2", "fixed_lag"):
+        assert last_error(flown[kind], "control_attitude") < np.radians(0.4)
+        assert last_error(flown[kind], "control_rate") < np.radians(0.01)
+        assert last_error(flown[kind], "target_attitude") < np.radians(0.4)
+
+
+def test_every_estimator_meets_the_same_noise_and_flies_its_own_pass(
+    flown: dict[str, Flown],
+) -> None:
+    first = flown["ekf"]
+    for kind in ("momentum_observer", "isam2", "fixed_lag"):
+        assert stamps(flown[kind]) == stamps(first)
+        own, other = (truth_of(f).values["control_rate"] for f in (flown[kind], first))
+        before = truth_of(first).t < 100.5  # the first command, of 100 s, acts from then on
+        np.testing.assert_array_equal(own[before], other[before])
+        assert (own[~before] != other[~before]).any(axis=1).all()
+
+
+def test_an_error_of_the_estimate_moves_the_craft_by_as_much() -> None:
+    scenario = short()
+    honest = fly(scenario, "ekf", seed=3)
+    lying = fly(scenario, "test_loop:Biased", seed=3)
+    # The track is what the filter found; the craft went where it was told.
+    np.testing.assert_array_equal(lying.track.x, honest.track.x)
+    R_tc = truth_of(lying).values["control_attitude"][-1]
+    assert np.degrees(so3.log(np.ascontiguousarray(R_tc))) == pytest.approx([10, 0, 0], abs=0.5)
+    assert last_error(honest, "control_attitude") < np.radians(0.4)
+
+
+def test_nothing_moves_before_the_controller_starts_and_something_does_after() -> None:
+    never = fly(short('control.start="9999 s"'), "ekf", seed=3)
+    wild = fly(short('control.start="9999 s"'), "momentum_observer", seed=3)
+    np.testing.assert_array_equal(
+        truth_of(never).values["control_attitude"], truth_of(wild).values["control_attitude"]
+    )
+
+
+def test_a_flight_is_repeated_bit_for_bit(flown: dict[str, Flown]) -> None:
+    for kind in ("momentum_observer", "fixed_lag"):
+        again = fly(short(), kind, seed=3)
+        np.testing.assert_array_equal(again.track.x, flown[kind].track.x)
+        for name, value in truth_of(again).values.items():
+            np.testing.assert_array_equal(value, truth_of(flown[kind]).values[name])
+    other = fly(short(), "momentum_observer", seed=3, run=1)
+    assert stamps(other) != stamps(flown["momentum_observer"])
+
+
+@pytest.mark.parametrize("kind", ["ekf", "isam2", "fixed_lag"])
+def test_what_was_flown_is_a_pass_like_any_other(kind: str, flown: dict[str, Flown]) -> None:
+    """The estimator on the recording of its own flight gives what it gave in flight."""
+    track = run_estimator(kind, flown[kind].problem)
+    np.testing.assert_array_equal(track.x, flown[kind].track.x)
+    np.testing.assert_array_equal(track.P, flown[kind].track.P)
+    ends, ended = track.smoothed, flown[kind].track.smoothed
+    assert (ends is None) == (ended is None)
+    if ends is not None and ended is not None:
+        np.testing.assert_array_equal(ends.x, ended.x)
+
+
+def test_estimators_of_whole_passes_smooth_what_was_flown(flown: dict[str, Flown]) -> None:
+    for kind in ("rts", "batch"):
+        assert flown[kind].problem is flown["ekf"].problem
+        assert truth_of(flown[kind]) is truth_of(flown["ekf"])
+        assert not flown[kind].track.controlled  # they have controlled nothing
+    scenario = short("time.epochs=20")
+    with pytest.raises(InputError, match="'batch' smooths what another has flown"):
+        list(fly_all(scenario, ["batch", "ekf"], seed=0))
+    with pytest.raises(ModelError, match="for whole passes"):
+        fly(scenario, "rts", seed=0)
+
+
+def test_one_that_diverges_ends_its_own_flight_only() -> None:
+    kinds = ["test_loop:Failing", "ekf"]
+    failing, ekf = fly_all(short("time.epochs=121"), kinds, seed=3)
+    assert failing.track.status == "diverged"
+    assert "gave up" in failing.track.message
+    assert len(failing.problem.epochs) == len(failing.track.t) == len(truth_of(failing).t) == 61
+    assert ekf.track.status == "ok"
+    assert len(ekf.problem.epochs) == 121
+
+
+def test_a_command_that_is_not_finite_ends_the_flight() -> None:
+    loop = ClosedLoop(short('control.start="1 s"'), seed=0)
+    epochs = iter(loop)
+    next(epochs)
+    next(epochs)
+    with pytest.raises(EstimationError, match=r"t = 1\.0 s: found the command"):
+        loop.take(np.full(loop.problem.layout.size, np.nan))
+
+
+def test_observer_converges_from_any_attitude_and_rate() -> None:
+    """Published settings but for the times; the errors of the start are gone."""
+    settings = ("time.epochs=4001", 'control.start="2000 s"')
+    better = ('sensors.far.end="2000 s"', 'sensors.near.begin="2000 s"')
+    scenario = load_scenario(THIENEL, [*settings, *better])
+    for run in range(3):
+        one = fly(scenario, "momentum_observer", 11, run)
+        assert one.track.status == "ok"
+        begun = errors(one.track, truth_of(one), [])["control_attitude"].e[2000]
+        assert np.linalg.norm(begun) > np.radians(10)
+        assert last_error(one, "target_attitude") < np.radians(0.3)
+        assert last_error(one, "control_attitude") < np.radians(0.4)
+        assert last_error(one, "control_rate") < np.radians(0.01)
+
+
+def test_observer_without_noise_finds_attitude_and_rate_exactly() -> None:
+    quiet = ('sensors.far.sigma="1e-9 deg"', 'sensors.near.sigma="1e-9 deg"')
+    one = fly(short(*quiet, "time.epochs=5001"), "momentum_observer", seed=3)
+    # Drag is what it does not know; the innovation is a second old.
+    assert last_error(one, "target_attitude") < np.radians(0.01)
+    assert last_error(one, "target_rate") < np.radians(1e-4)
+    assert last_error(one, "control_attitude") < np.radians(0.05)
+
+
+def test_observer_refuses_another_system(capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = load_scenario(EXPERIMENTS / "hu2019.toml", ["time.epochs=5"])
+    problem = scenario.problem(scenario.simulate(0), 0)
+    with pytest.raises(ModelError, match="momentum_observer: found Layout"):
+        run_estimator("momentum_observer", problem)
+
+
+# --- scenarios ------------------------------------------------------------------------------
+
+
+def test_a_truth_that_takes_no_commands_is_refused() -> None:
+    with pytest.raises(InputError, match=r"truth.kind: found 'tumbling_body', which takes no"):
+        load_scenario(
+            THIENEL,
+            ["truth.kind=tumbling_body"],
+        )
+    with pytest.raises(InputError, match=r"control.kind: found 'tumbling_body', expected a contr"):
+        load_scenario(THIENEL, ["control.kind=tumbling_body"])
+
+
+def test_scenario_without_control_does_not_fly() -> None:
+    scenario = replace(short(), control=None)
+    with pytest.raises(InputError, match=r"no \[control\]"):
+        fly(scenario, "ekf", seed=0)
+
+
+def test_compare_and_study_report_control_apart_from_estimation(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    settings = [part for s in (*SHORT, "time.epochs=201") for part in ("--set", s)]
+    kinds = ["-e", "momentum_observer", "-e", "ekf", "-e", "rts", "-e", "fixed_lag"]
+    code, out, _ = relnav(
+        capsys, "study", THIENEL, *settings, *kinds, "--runs", 2, "-j", 1, "--json"
+    )
+    study = json.loads(out)["estimators"]
+    assert code == 0
+    states = {"target_attitude", "target_rate", "control_attitude", "control_rate"}
+    for kind in ("momentum_observer", "ekf", "fixed_lag"):
+        assert set(study[kind]["states"]) == states
+        control = study[kind]["states"]["control_attitude"]
+        assert control["unit"] == "deg"
+        assert control["rmse"] > 0
+        assert control["sigma"] is control["bound"] is control["anees"] is None
+        assert study[kind]["states"]["target_attitude"]["bound"] > 0
+    assert study["momentum_observer"]["states"]["target_attitude"]["sigma"] is None
+    assert {"control_attitude"} & set(study["rts"]["states"]) == set()
+    assert study["rts"]["states"]["target_attitude"]["bound"] > 0
+
+    squares = []
+    for run in range(2):  # each run alone
+        code, out, _ = relnav(
+            capsys, "compare", THIENEL, *settings, *kinds, "--run", run, "--json", "-o", tmp_path
+        )
+        assert code == 0
+        rows = json.loads(out)["estimators"]
+        squares.append(
+            [rows[k]["states"]["control_rate"]["rmse"] ** 2 for k in ("ekf", "fixed_lag")]
+        )
+    mean = np.sqrt(np.mean(squares, axis=0))
+    want = [study[k]["states"]["control_rate"]["rmse"] for k in ("ekf", "fixed_lag")]
+    np.testing.assert_allclose(mean, want, rtol=1e-12)
+    assert (tmp_path / "figures" / "control_attitude.png").is_file()
+
+
+# --- another loop: inputs that the truth drives ----------------------------------------------
+
+
+class _Turning:
+    """A chaser that turns at the rate that it is told to."""
+
+    def __init__(self) -> None:
+        self.t, self.R, self.w = 0.0, so3.exp(np.array([0.3, -0.2, 0.5])), np.zeros(3)
+
+    def values(self) -> Mapping[str, Array]:
+        return {"chaser_attitude": self.R, "chaser_rate": self.w}
+
+    def advance(
+        self, t: float, command: Array | None, edges: Mapping[str, Array]
+    ) -> Mapping[str, Array]:
+        self.w = np.zeros(3) if command is None else command
+        self.R, self.t = self.R @ so3.exp(self.w * (t - self.t)), t
+        return {name: np.tile(self.w, (len(e) - 1, 1)) for name, e in edges.items()}
+
+
+@dataclass(frozen=True)
+class TurningChaser:
+    """The truth of it."""
+
+    kind: ClassVar[str] = "turning_chaser"
+    source: ClassVar[str] = "a toy"
+
+    def fly(self, t: float, rng: np.random.Generator) -> _Turning:
+        return _Turning()
+
+    def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TurnHome:
+    """Turns it back to the identity."""
+
+    kind: ClassVar[str] = "turn_home"
+    reads: ClassVar[tuple[str, ...]] = ("chaser_attitude",)
+    own: ClassVar[tuple[str, ...]] = ()
+    controlled: ClassVar[tuple[Block, ...]] = ()
+    start: float = 10.0
+
+    def command(self, t: float, estimate: Mapping[str, Array], own: Mapping[str, Array]) -> Array:
+        return -0.05 * so3.log(np.ascontiguousarray(estimate["chaser_attitude"]))
+
+    def control_errors(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        return {}
+
+
+GYRO = {
+    "title": "a chaser that turns home by its own star tracker and gyro",
+    "time": {"step": 1.0, "epochs": 201},
+    "processes": {
+        "chaser": {
+            "kind": "gyro_bias",
+            "angle_random_walk_density": 1e-5,
+            "bias_random_walk_density": 1e-7,
+        }
+    },
+    "sensors": {"stars": {"kind": "star_tracker", "sigma": 1e-3}},
+    "prior": {"chaser_attitude": {"sigma": 1e-2}, "gyro_bias": {"sigma": 1e-4}},
+    "truth": {"kind": "test_loop:TurningChaser"},
+    "control": {"kind": "test_loop:TurnHome"},
+    "inputs": {
+        "gyro": {
+            "kind": "rate_integrating_gyro",
+            "period": 0.25,
+            "angle_random_walk_density": 1e-5,
+            "bias_random_walk_density": 1e-7,
+            "initial_bias": [1e-4, -1e-4, 5e-5],
+        }
+    },
+}
+
+
+def test_inputs_are_true_means_with_errors_that_no_command_changes() -> None:
+    scenario = make_scenario(GYRO, "gyro")
+    one, other = fly(scenario, "ekf", seed=5), fly(scenario, "fixed_lag", seed=5)
+    e = errors(one.track, truth_of(one), [])
+    assert np.linalg.norm(e["gyro_bias"].e[-1]) < 2e-5
+    assert one.track.status == "ok"
+    R = truth_of(one).values["chaser_attitude"]
+    assert np.linalg.norm(so3.log(np.ascontiguousarray(R[-1]))) < 3e-3
+    assert np.linalg.norm(so3.log(np.ascontiguousarray(R[9]))) > 0.5
+    # Gyro minus the true mean rate: the same errors, whoever flies.
+    found = []
+    for f in (one, other):
+        R = truth_of(f).values["chaser_attitude"]
+        mean = so3.local_each(np.ascontiguousarray(R[:-1]), np.ascontiguousarray(R[1:]))
+        u = np.array([epoch.inputs["chaser"] for epoch in f.problem.epochs[1:]])
+        assert u.shape == (200, 4, 4)
+        found.append(u[:, :, 1:] - mean[:, None])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-12)
+    assert (
+        truth_of(one).values["chaser_attitude"] != truth_of(other).values["chaser_attitude"]
+    ).any()
+    bias = truth_of(one).values["gyro_bias"]
+    np.testing.assert_array_equal(bias, truth_of(other).values["gyro_bias"])
+    assert np.abs(found[0].mean(axis=1) - bias[:-1]).max() < 6e-5
+
+
+def test_a_sample_across_an_epoch_is_refused() -> None:
+    raw: Any = json.loads(json.dumps(GYRO))
+    raw["inputs"]["gyro"]["period"] = 0.3
+    with pytest.raises(InputError, match=r"inputs.gyro: a sample lies across an epoch at"):
+        fly(make_scenario(raw, "gyro"), "ekf", seed=5)
