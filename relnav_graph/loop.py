@@ -35,7 +35,7 @@ from relnav_graph.sim.flight import Flight
 from relnav_graph.sim.own_models import ConstantInput
 from relnav_graph.track import Track, Truth
 
-__all__ = ["ClosedLoop", "Flown", "flies", "fly", "fly_all", "warm_up"]
+__all__ = ["ClosedLoop", "Flown", "Passed", "flies", "fly", "fly_all", "run_passes", "warm_up"]
 
 Array = NDArray[np.float64]
 
@@ -242,6 +242,26 @@ def fly_all(scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0) -
             raise InputError(f"estimator {kind!r} smooths what another has flown: name one before")
         track = try_estimator(kind, last.problem)
         yield Flown(last.problem, replace(track, truth=last.track.truth))
+
+
+@dataclass(frozen=True, eq=False)
+class Passed:
+    """A pass with what estimators made of it: problem, truth, tracks."""
+
+    problem: Problem
+    truth: Truth | None
+    tracks: Sequence[Track]
+
+
+def run_passes(scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0) -> list[Passed]:
+    """A run of a scenario: the simulated pass with all estimators, or, where there is a
+    controller, the passes that they fly. Raises InputError as these do."""
+    if scenario.control is not None:
+        flown = fly_all(scenario, kinds, seed, run)
+        return [Passed(f.problem, f.track.truth, [f.track]) for f in flown]
+    recording = scenario.simulate(seed, run)
+    problem = scenario.problem(recording, seed, run)
+    return [Passed(problem, recording.truth, [try_estimator(kind, problem) for kind in kinds])]
 
 
 def warm_up(scenario: Scenario, kinds: Sequence[str], seed: int) -> None:

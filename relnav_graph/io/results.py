@@ -1,7 +1,8 @@
 """Results: tracks and truth in one NetCDF-4 file, or tracks as CSV tables.
 
 Each track is a group of its name, what it ends with smoothed a group ``NAME_smoothed``,
-the truth a group ``truth``. Attitudes are kept as quaternions, covariances as they are.
+the truth a group ``truth``, or ``NAME_truth`` of a pass that one has flown itself. Attitudes
+are kept as quaternions, covariances as they are.
 The definitions of the blocks stand beside the numbers, so that reading needs nothing else.
 """
 
@@ -70,7 +71,7 @@ def _time(t: Array) -> Variable:
     return Variable(("time",), np.asarray(t), {"units": "s", "long_name": long_name})
 
 
-def _track_group(track: Track, smoothed: str) -> Group:
+def _track_group(track: Track, smoothed: str, truth: str) -> Group:
     blocks = list(track.layout)
     variables = {"time": _time(track.t)}
     variables |= {b.name: _block_variable(b, track.value(b.name)) for b in blocks}
@@ -93,6 +94,8 @@ def _track_group(track: Track, smoothed: str) -> Group:
         "rejected": json.dumps({k: int(v) for k, v in track.rejected.items()}),
         "downweighted": json.dumps({k: int(v) for k, v in track.downweighted.items()}),
         "smoothed": smoothed,
+        "truth": truth,
+        "controlled": " ".join(b.name for b in track.controlled),
     }
     return Group(attributes, variables)
 
@@ -104,10 +107,12 @@ def _truth_group(truth: Truth, blocks: Mapping[str, Block]) -> Group:
     return Group({"source": truth.source}, variables)
 
 
-def _add_track(groups: dict[str, Group], name: str, track: Track, smoothed: str) -> None:
+def _add_track(
+    groups: dict[str, Group], name: str, track: Track, smoothed: str, truth: str
+) -> None:
     if name in groups or name in ("", "truth") or "/" in name:
         raise InputError(f"a track cannot be called {name!r}: taken, or no name of a group")
-    groups[name] = _track_group(track, smoothed)
+    groups[name] = _track_group(track, smoothed, truth)
 
 
 def write_results(
@@ -126,9 +131,13 @@ def write_results(
     groups: dict[str, Group] = {}
     for track in tracks:
         smoothed = f"{track.name}_smoothed" if track.smoothed is not None else ""
-        _add_track(groups, track.name, track, smoothed)
+        flight = f"{track.name}_truth" if track.truth is not None else ""
+        _add_track(groups, track.name, track, smoothed, flight)
         if track.smoothed is not None:
-            _add_track(groups, smoothed, track.smoothed, "")
+            _add_track(groups, smoothed, track.smoothed, "", flight)
+        if track.truth is not None:
+            flown = {b.name: b for b in (*blocks, *track.layout, *track.controlled)}
+            groups[flight] = _truth_group(track.truth, flown)
     if truth is not None:
         known = {b.name: b for b in (*blocks, *(b for t in tracks for b in t.layout))}
         groups["truth"] = _truth_group(truth, known)
@@ -150,6 +159,8 @@ def _track(groups: Mapping[str, Group], name: str) -> Track:
     columns += [from_components(b, variables[b.name].values).reshape(len(t), -1) for b in layout]
     kind: Any = a["kind"]
     status: Any = a["status"]
+    truth = groups[str(a["truth"])] if a.get("truth") else None
+    controlled = str(a.get("controlled", "")).split()
     return Track(
         name=str(a["name"]),
         kind=kind,
@@ -164,6 +175,8 @@ def _track(groups: Mapping[str, Group], name: str) -> Track:
         rejected=json.loads(str(a["rejected"])),
         downweighted=json.loads(str(a.get("downweighted", "{}"))),
         smoothed=_track(groups, str(a["smoothed"])) if a["smoothed"] else None,
+        truth=_truth(truth) if truth is not None else None,
+        controlled=tuple(_block_of(n, truth.variables[n]) for n in controlled if truth is not None),
     )
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.estimators import try_estimator
 from relnav_graph.io.manifest import PASS_FILE, PassManifest
 from relnav_graph.io.results import read_results
+from relnav_graph.loop import run_passes
 from relnav_graph.metrics import summary, versions
 from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import Scenario, make_scenario
@@ -71,22 +71,21 @@ class StudyContents:
     def remake(self, run: int) -> PassContents | None:
         """A run made again, which gives the same numbers; None when it fails."""
         try:
-            recording = self.scenario.simulate(self.seed, run)
-            problem = self.scenario.problem(recording, self.seed, run)
-            tracks = [try_estimator(kind, problem) for kind in self.estimators]
+            passes = run_passes(self.scenario, self.estimators, self.seed, run)
         except (RelnavError, ArithmeticError, np.linalg.LinAlgError):
             return None
+        tracks, truth = [t for one in passes for t in one.tracks], passes[0].truth
         found = summary(
             self.scenario.name,
             self.seed,
             tracks,
-            recording.truth,
+            truth,
             derived_quantities(self.scenario.layout),
-            self.scenario.window(problem.times),
-            len(problem.epochs),
+            self.scenario.window(self.scenario.times),
+            len(self.scenario.times),
         )
         command = next((w.command for w in self.worst if w.run == run), "")
-        return PassContents(self.scenario, found, tracks, recording.truth, command, versions())
+        return PassContents(self.scenario, found, tracks, truth, command, versions())
 
 
 def _lost(path: Path, there: set[int]) -> dict[int, str]:

@@ -21,10 +21,11 @@ from relnav_graph.bounds import bounds, true_trajectory
 from relnav_graph.components import noise_residuals
 from relnav_graph.deviation import StateErrors, StateEstimates, deviations, estimates, joint, nees
 from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.loop import Passed
 from relnav_graph.metrics import Score, score_of, step_ms, with_smoothed
 from relnav_graph.models import Derived
 from relnav_graph.problem import Problem
-from relnav_graph.track import Innovations, Track, Truth
+from relnav_graph.track import Innovations, Track
 
 __all__ = ["BINS", "Record", "make_record"]
 
@@ -216,10 +217,6 @@ def _limits(
     return _Limits(states, sigmas, series)
 
 
-#: Problem, truth and tracks of one pass.
-Passed = tuple[Problem, Truth | None, Sequence[Track]]
-
-
 def make_record(
     run: int,
     passes: Sequence[Passed],
@@ -237,7 +234,8 @@ def make_record(
     series: dict[str, Array] = {}
     rows: dict[str, _Row] = {}
     x_before, limits = np.zeros(0), None
-    for problem, truth, tracks in passes:
+    for one in passes:
+        problem, truth = one.problem, one.truth
         try:
             x = true_trajectory(problem, truth)
             if limits is None or not np.array_equal(x, x_before):
@@ -247,7 +245,7 @@ def make_record(
         if limits is not None and not scalars["bound"]:  # figures show those of the first pass
             scalars["bound"] |= limits.sigmas
             series |= {f"bound {kind}": s for kind, s in limits.series.items()}
-        for name, track in with_smoothed(tracks).items():
+        for name, track in with_smoothed(one.tracks).items():
             states = estimates(track, derived)
             errors = {} if truth is None else deviations(states, track.t, truth, derived)
             row = rows[name] = _Row(track, states, errors)

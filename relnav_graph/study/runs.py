@@ -84,15 +84,10 @@ def run_record(spec_json: str, run: int) -> bytes:
 
 
 def _run(spec: StudySpec, scenario: Scenario, run: int) -> Record:
-    rest = (
+    return make_record(
+        run,
+        loop.run_passes(scenario, spec.estimators, spec.seed, run),
         derived_quantities(scenario.layout),
         scenario.window(scenario.times),
         sim.stream(spec.seed, run, "probes"),
     )
-    if scenario.control is not None:
-        flown = list(loop.fly_all(scenario, spec.estimators, spec.seed, run))
-        return make_record(run, [(f.problem, f.track.truth, [f.track]) for f in flown], *rest)
-    recording = scenario.simulate(spec.seed, run)
-    problem = scenario.problem(recording, spec.seed, run)
-    tracks = [try_estimator(kind, problem) for kind in spec.estimators]
-    return make_record(run, [(problem, recording.truth, tracks)], *rest)
