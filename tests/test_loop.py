@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from passes import EXPERIMENTS, relnav
 
-from relnav_graph import so3
+from factors.relative_attitude import VisionAttitude
+from relnav_graph import sim, so3
 from relnav_graph.deviation import errors
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
@@ -273,6 +274,28 @@ def test_compare_and_study_report_control_apart_from_estimation(
     want = [study[k]["states"]["control_rate"]["rmse"] for k in ("ekf", "fixed_lag")]
     np.testing.assert_allclose(mean, want, rtol=1e-12)
     assert (tmp_path / "figures" / "control_attitude.png").is_file()
+
+
+def test_sensors_see_their_part_of_the_pass(flown: dict[str, Flown]) -> None:
+    seen = [(t, sensor) for t, sensor, _ in stamps(flown["ekf"])]
+    assert seen == [(float(t), "far" if t < 200 else "near") for t in range(601)]
+
+
+def test_noise_along_random_directions_is_normal_in_length() -> None:
+    """As the paper draws it: a normal angle about a random direction; sigma is of an axis."""
+    sensor = VisionAttitude(seen_from="fixed", sigma=np.full(3, 0.01))
+    R = np.tile(so3.exp(np.array([0.4, 0.3, -1.0])), (5000, 1, 1))
+    truth = Truth(np.arange(5000.0), {"target_attitude": R})
+    sizes = []
+    for law in ("gaussian", "random_direction"):
+        rng = np.random.default_rng(0)
+        found = sim.measure("v", sensor, sim.Timing(law=law), truth, rng)
+        seen = np.array([so3.from_quaternion(m.z[0]) for m in found])
+        e = so3.local_each(R, seen) / 0.01
+        np.testing.assert_allclose(e.T @ e / 5000, np.eye(3), atol=0.08)
+        sizes.append(np.linalg.norm(e, axis=1).mean() / np.sqrt(3))
+    # Of a normal vector, and of a normal number.
+    assert sizes == pytest.approx([np.sqrt(8 / np.pi) / np.sqrt(3), np.sqrt(2 / np.pi)], rel=0.02)
 
 
 # --- another loop: inputs that the truth drives ----------------------------------------------
