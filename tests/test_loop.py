@@ -228,8 +228,9 @@ def test_a_truth_that_takes_no_commands_is_refused() -> None:
     other = {**read_toml(THIENEL), "truth": read_toml(EXPERIMENTS / "hu2019.toml")["truth"]}
     with pytest.raises(InputError, match=r"truth.kind: found 'tumbling_body', which takes no"):
         make_scenario(other, "other")
+    other = {**read_toml(THIENEL), "control": other["truth"]}
     with pytest.raises(InputError, match=r"control.kind: found 'tumbling_body', expected a contr"):
-        load_scenario(THIENEL, ["control.kind=tumbling_body"])
+        make_scenario(other, "other")
 
 
 def test_scenario_without_control_does_not_fly() -> None:
