@@ -13,7 +13,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 
 from relnav_graph import models, sim
 from relnav_graph.errors import InputError, ModelError
@@ -105,6 +113,12 @@ class SensorOptions(BaseModel):
     end: Seconds | None = None
     law: sim.Law = "gaussian"
     outliers: OutlierSettings | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> SensorOptions:
+        if self.begin is not None and self.end is not None and not self.begin < self.end:
+            raise ValueError(f"found begin at {self.begin} s and end at {self.end} s")
+        return self
 
     def timing(self) -> sim.Timing:
         """What the simulator needs to know."""

@@ -20,7 +20,9 @@ from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.ekf import Ekf
 from relnav_graph.estimators.source import Source
+from relnav_graph.io.results import read_results
 from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
+from relnav_graph.metrics import summary
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario, read_toml
 from relnav_graph.state import Block
 from relnav_graph.track import Track, Truth
@@ -261,10 +263,10 @@ def test_compare_and_study_report_control_apart_from_estimation(
     assert {"control_attitude"} & set(study["rts"]["states"]) == set()
     assert study["rts"]["states"]["target_attitude"]["bound"] > 0
 
-    squares = []
+    squares, out_pass = [], tmp_path / "pass"
     for run in range(2):  # each run alone
         code, out, _ = relnav(
-            capsys, "compare", THIENEL, *settings, *kinds, "--run", run, "--json", "-o", tmp_path
+            capsys, "compare", THIENEL, *settings, *kinds, "--run", run, "--json", "-o", out_pass
         )
         assert code == 0
         rows = json.loads(out)["estimators"]
@@ -274,7 +276,32 @@ def test_compare_and_study_report_control_apart_from_estimation(
     mean = np.sqrt(np.mean(squares, axis=0))
     want = [study[k]["states"]["control_rate"]["rmse"] for k in ("ekf", "fixed_lag")]
     np.testing.assert_allclose(mean, want, rtol=1e-12)
-    assert (tmp_path / "figures" / "control_attitude.png").is_file()
+    assert (out_pass / "figures" / "control_attitude.png").is_file()
+
+
+def test_results_and_report_of_flown_passes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    settings = [part for s in (*SHORT, "time.epochs=151") for part in ("--set", s)]
+    kinds = ["-e", "momentum_observer", "-e", "fixed_lag"]
+    code, out, _ = relnav(capsys, "compare", THIENEL, *settings, *kinds, "--json", "-o", tmp_path)
+    assert code == 0
+    tracks, truth, _ = read_results(tmp_path / "results.nc")
+    assert truth is None  # there is none that all share
+    found = summary("thienel2006", 0, tracks, None, [], (0.8, 1.0), 151)["estimators"]
+    for name, row in json.loads(out)["estimators"].items():
+        for state, scores in row["states"].items():
+            assert found[name]["states"][state]["rmse"] == pytest.approx(scores["rmse"], rel=1e-6)
+    assert relnav(capsys, "report", tmp_path)[0] == 0
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "Errors: control attitude" in page
+    assert "no truth is known" not in page
+
+    study = tmp_path / "study"
+    runs = ["--runs", 3, "-j", 1, "-o", study]
+    assert relnav(capsys, "study", THIENEL, *settings, *kinds, *runs)[0] == 0
+    assert relnav(capsys, "report", study)[0] == 0
+    assert "control attitude" in (study / "report.html").read_text("utf-8")
 
 
 def test_sensors_see_their_part_of_the_pass(flown: dict[str, Flown]) -> None:
@@ -297,6 +324,11 @@ def test_noise_along_random_directions_is_normal_in_length() -> None:
         sizes.append(np.linalg.norm(e, axis=1).mean() / np.sqrt(3))
     # Of a normal vector, and of a normal number.
     assert sizes == pytest.approx([np.sqrt(8 / np.pi) / np.sqrt(3), np.sqrt(2 / np.pi)], rel=0.02)
+
+
+def test_a_sensor_that_ends_before_it_begins_is_refused() -> None:
+    with pytest.raises(InputError, match=r"sensors.near: found begin at 30.* and end at 20"):
+        load_scenario(THIENEL, ["sensors.near.end=20000.0"])
 
 
 # --- another loop: inputs that the truth drives ----------------------------------------------

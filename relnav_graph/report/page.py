@@ -152,7 +152,7 @@ def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
         shown["path"] = gallery.add("Relative position", caption, path)
     what = "Errors (truth minus estimate) with ±3 sigma about zero; a consistent estimator leaves"
     caption = f"{what} its band in 0.3 % of the epochs."
-    if content.truth is None:
+    if content.truth is None and not any(track.truth for track in content.tracks):
         caption = "The 1-sigma that each estimator predicts; no truth is known."
     for state, figure in error_figures(content.tracks, content.truth, derived).items():
         shown["errors"].append(gallery.add(f"Errors: {plain(state)}", caption, figure))

@@ -57,10 +57,12 @@ def models(scenario: Scenario) -> Table:
 
 
 def simulated(scenario: Scenario) -> Table | None:
-    """Truth and inputs, where they are simulated."""
+    """Truth, control and inputs, where they are simulated."""
     if scenario.truth is None:
         return None
     pairs = [("truth", "", scenario.truth, scenario.raw["truth"])]
+    if scenario.control is not None:
+        pairs.append(("control", "", scenario.control, scenario.raw["control"]))
     pairs += [("input", n, m, scenario.raw["inputs"][n]) for n, m in scenario.inputs.items()]
     return Table(_HEAD, [_model(*pair) for pair in pairs], 5)
 
