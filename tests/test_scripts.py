@@ -10,6 +10,11 @@ from types import ModuleType
 
 import pytest
 
+from relnav_graph.scenario import load_scenario
+from relnav_graph.study.conduct import do_runs
+from relnav_graph.study.folder import StudyFolder
+from relnav_graph.study.runs import StudySpec
+
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
 
@@ -46,6 +51,20 @@ def test_published_claims_rank_the_integrators(capsys: pytest.CaptureFixture[str
     assert attitude[0] > 1.2 * attitude[1] > 1.2 * attitude[2]
     assert set(found) >= {"xiong2013", "xiong2013_0p1m"}
     assert "| relative attitude, deg | 0.866 |" in capsys.readouterr().out
+
+
+def test_tracking_claims_tell_control_from_estimation(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    settings = ["time.epochs=201", "control.start=50.0", "evaluate=[0.9, 1.0]"]
+    scenario = load_scenario(EXPERIMENTS / "thienel2006.toml", settings)
+    folder = StudyFolder(tmp_path / "mc", StudySpec.of(scenario, 0, ("ekf", "rts")))
+    assert not do_runs(folder, range(2))
+    found = _script("tracking_claims").main(tmp_path / "mc")
+    assert set(found) == {"published", "ekf", "rts"}
+    assert found["ekf"]["control_attitude"][1] >= found["ekf"]["control_attitude"][0] > 0
+    assert set(found["rts"]) == {"target_attitude", "target_rate"}
+    assert "2 cases, 0 failed, 0 not ok" in capsys.readouterr().out
 
 
 def test_astrobee_beats_its_authors() -> None:
