@@ -72,6 +72,11 @@ class Scenario:
         return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
 
     @property
+    def timings(self) -> dict[str, sim.Timing]:
+        """How each sensor measures when it is simulated."""
+        return {name: o.timing() for name, o in self.options.items()}
+
+    @property
     def input_columns(self) -> dict[str, tuple[str, ...]]:
         """Inputs that the processes need: the columns of each, by name."""
         return {k: v for p in self.processes.values() for k, v in p.inputs.items()}
@@ -106,11 +111,24 @@ class Scenario:
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
                     f" of time.step, {self.file.time.step} s"
                 )
-        timings = {name: o.timing() for name, o in self.options.items()}
         times = self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
         return sim.simulate(
-            self.truth, self.inputs, self.processes, self.sensors, timings, times, seed, run
+            self.truth, self.inputs, self.processes, self.sensors, self.timings, times, seed, run
         )
+
+    def completed(self, recording: Recording, seed: int, run: int = 0) -> Recording:
+        """A recording with the sensors that [data] has simulated on its truth.
+
+        Raises InputError when there is no truth, or none of what a sensor reads.
+        """
+        names = self.file.data.simulate if self.file.data is not None else []
+        if not names:
+            return recording
+        if recording.truth is None:
+            raise InputError(f"data.simulate: found {names}, but the recording has no truth")
+        sensors = {name: self.sensors[name] for name in names}
+        made = sim.measure_all(sensors, self.timings, recording.truth, seed, run)
+        return replace(recording, measurements=(*recording.measurements, *made))
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -169,6 +187,10 @@ def _check_choices(file: ScenarioFile, problems: Problems) -> None:
             find_class("relnav_graph.estimators", kind)
         except ModelError as error:
             problems.append((f"estimators[{i}]", str(error)))
+    for i, name in enumerate(file.data.simulate if file.data is not None else []):
+        if name not in file.sensors:
+            known = ", ".join(file.sensors)
+            problems.append((f"data.simulate[{i}]", f"unknown sensor {name!r}; known are {known}"))
     low, high = file.evaluate or (0.0, 1.0)
     if isinstance(low, float) and isinstance(high, float) and not low < high:
         problems.append(("evaluate", f"found {file.evaluate}, expected the earlier end first"))

@@ -102,7 +102,7 @@ def measure(
         if not timing.fires(float(t), float(truth.t[0])):
             continue
         x = [np.ascontiguousarray(truth.values[b.name][k]) for b in sensor.reads]
-        seen, rows = _seen(sensor, sensor.observables(), x)
+        seen, rows = _seen(sensor.at(float(t)), sensor.observables(), x)
         if len(seen):
             clean = Measurement(name, float(t), rows, seen)
             R = sensor.noise(clean)
@@ -112,6 +112,22 @@ def measure(
             e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
             out.append(Measurement(name, float(t), sensor.perturb(clean.z, e), clean.ids))
     return out
+
+
+def measure_all(
+    sensors: Mapping[str, Sensor],
+    timings: Mapping[str, Timing],
+    truth: Truth,
+    seed: int,
+    run: int = 0,
+) -> tuple[Measurement, ...]:
+    """What all sensors would have measured, each with a stream of its own; see `measure`."""
+    out: list[Measurement] = []
+    for name, sensor in sensors.items():
+        rng = stream(seed, run, f"sensor {name}")
+        outliers = stream(seed, run, f"outliers {name}")
+        out += measure(name, sensor, timings.get(name, Timing()), truth, rng, outliers)
+    return tuple(out)
 
 
 def simulate(
@@ -152,10 +168,4 @@ def simulate(
             truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
     known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
     truth = Truth(truth.t, known, truth.source)
-    measurements: list[Measurement] = []
-    for name, sensor in sensors.items():
-        rng = stream(seed, run, f"sensor {name}")
-        outliers = stream(seed, run, f"outliers {name}")
-        timing = timings.get(name, Timing())
-        measurements += measure(name, sensor, timing, truth, rng, outliers)
-    return Recording(times, tuple(measurements), series, truth)
+    return Recording(times, measure_all(sensors, timings, truth, seed, run), series, truth)
