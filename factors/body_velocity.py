@@ -22,7 +22,7 @@ from relnav_graph.state import (
 from relnav_graph.units import Quantity
 
 from ._points import Pose
-from .gyro_bias import GYRO_COLUMNS
+from ._strapdown import GYRO_COLUMNS
 
 Array = NDArray[np.float64]
 

@@ -16,40 +16,44 @@ from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE, Block
 from relnav_graph.units import Quantity
 
+from ._gauss_markov import walk_and_integral
+from ._strapdown import GYRO_COLUMNS, LARGEST_TURN, condense
 from ._white_noise import duration
 
 Array = NDArray[np.float64]
-#: Table of a gyro: the mean of w_ci_c over each sample.
-GYRO_COLUMNS = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (R_oc, b). Each row of u (dt, gyro mean) turns the attitude by (gyro - b) dt.
 
-    Attitude and bias noise are correlated: the bias walks while the attitude turns.
+    Attitude and bias noise are correlated: the bias walks while the attitude turns. p[10]: T, s,
+    after which the bias forgets.
     """
     R_oc, b = so3.matrix_at(x, 0), so3.vector_at(x, 9)
     total, noise, step = so3.identity(6), np.zeros((6, 6)), so3.identity(6)
     turn = np.empty(3)
     for row in range(u.shape[0]):
         dt = u[row, 0]
+        kept, counts, own, of_integral = walk_and_integral(dt, p[10])
         for i in range(3):
-            turn[i] = (u[row, 1 + i] - b[i]) * dt
+            turn[i] = u[row, 1 + i] * dt - b[i] * counts
         ahead = so3.exp(turn)
         R_oc = so3.multiply(R_oc, ahead)
         for i in range(3):
             for j in range(3):
                 step[i, j] = ahead[j, i]
-        so3.put(step, 0, 3, so3.right_jacobian(turn), -dt)
+            step[3 + i, 3 + i] = kept
+            b[i] *= kept
+        so3.put(step, 0, 3, so3.right_jacobian(turn), -counts)
         total = so3.multiply(step, total)
         noise = so3.propagate_covariance(step, noise)
         for i in range(3):
             v2, u2 = p[4 + i] ** 2, p[7 + i] ** 2
-            noise[i, i] += v2 * dt + u2 * dt**3 / 3
-            noise[i, 3 + i] -= u2 * dt**2 / 2
-            noise[3 + i, i] -= u2 * dt**2 / 2
-            noise[3 + i, 3 + i] += u2 * dt
+            noise[i, i] += v2 * dt + u2 * of_integral
+            noise[i, 3 + i] -= u2 * counts**2 / 2
+            noise[3 + i, i] -= u2 * counts**2 / 2
+            noise[3 + i, 3 + i] += u2 * own
     R_oc = so3.multiply(frame_rotation(p, t, t + duration(u)), R_oc)
     so3.put_matrix(x_next, 0, so3.project(R_oc))
     so3.put_vector(x_next, 9, b)
@@ -67,8 +71,10 @@ class GyroBias(DynamicsModel):
     that is constant over each gyro sample.
 
     angle_random_walk_density: rad/sqrt(s), bias_random_walk_density: rad/s^1.5, one for
-    all axes of c or one each; orbit: the target's, None where o does not rotate.
+    all axes of c or one each; bias_time_constant: s, of a bias that forgets, b' = -b / T +
+    white; orbit: the target's, None where o does not rotate.
     attitude: which block turns with the chaser: R_oc, or R_tc of a target at rest in o.
+    samples: "together" for a fast gyro: those of an interval as one or a few rows.
     """
 
     kind: ClassVar[str] = "gyro_bias"
@@ -84,6 +90,8 @@ class GyroBias(DynamicsModel):
     ]
     orbit: KeplerOrbit | None = None
     attitude: Literal["chaser_attitude", "relative_attitude"] = "chaser_attitude"
+    bias_time_constant: Annotated[float | None, Quantity("s", positive=True)] = None
+    samples: Literal["each", "together"] = "each"
 
     @property
     def advances(self) -> tuple[Block, ...]:
@@ -92,4 +100,9 @@ class GyroBias(DynamicsModel):
 
     def constants(self) -> Array:
         densities = self.angle_random_walk_density, self.bias_random_walk_density
-        return np.concatenate([orbit_array(self.orbit), *densities])
+        T = self.bias_time_constant
+        return np.concatenate([orbit_array(self.orbit), *densities, [np.inf if T is None else T]])
+
+    def condense(self, u: Array) -> Array:
+        """The samples of an interval, one by one or taken together."""
+        return condense(u, LARGEST_TURN) if self.samples == "together" else u

@@ -112,6 +112,7 @@ class ClosedLoop:
         self._flight: Flight = scenario.truth.fly(
             float(self.times[0]), sim.stream(seed, run, "truth")
         )
+        self._timings = scenario.timings
         self._streams = {
             name: (
                 sim.stream(seed, run, f"sensor {name}"),
@@ -148,7 +149,7 @@ class ClosedLoop:
         self._values.append(values)
         t, t0, found = float(self.times[k]), float(self.times[0]), []
         for name, sensor in self.scenario.sensors.items():
-            timing = self.scenario.options[name].timing()
+            timing = self._timings[name]
             if timing.fires(t, t0):
                 x = [np.ascontiguousarray(values[b.name]) for b in sensor.reads]
                 m = sim.measure_once(name, sensor, timing, t, x, *self._streams[name])

@@ -104,6 +104,9 @@ class Sensor(Protocol):
         """Measured values z (k, nz) as the kernel wants them. Raises InputError on values
         that this sensor cannot give."""
 
+    def at(self, t: float) -> Sensor:
+        """The sensor as it is at time t, s, for the simulator: transmitters may move."""
+
     def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
         """z (k, nz) without noise, from one value per block read. Raises GeometryError."""
 
@@ -148,6 +151,9 @@ class Dynamics(Protocol):
 
     def failure(self, status: int) -> str:
         """What a non-zero status of the kernel means."""
+
+    def condense(self, u: Array) -> Array:
+        """The rows of an interval as fewer, where that changes nothing: an epoch keeps them."""
 
     def propagate(self, t: float, u: Array, *x: Array) -> tuple[Array, ...]:
         """The advanced blocks at the end of the interval."""
@@ -262,6 +268,10 @@ class SensorModel:
             raise InputError(f"{self.kind}: found z of {z.shape}, expected columns {self.columns}")
         return z
 
+    def at(self, t: float) -> Sensor:
+        """The same at all times, unless a model says otherwise."""
+        return self  # type: ignore[return-value]
+
     def perturb(self, z: Array, e: Array) -> Array:
         return z + e
 
@@ -319,6 +329,10 @@ class DynamicsModel:
     def failure(self, status: int) -> str:
         """What a non-zero status of the kernel means."""
         return self.failures.get(status, f"status {status}")
+
+    def condense(self, u: Array) -> Array:
+        """All rows as they are, unless a model says otherwise."""
+        return u
 
     def caution(self, length: float, *x: Array) -> str:
         """Nothing to be cautious of, unless a model says so."""

@@ -244,7 +244,7 @@ def process_inputs(
     middle = 0.5 * (edges[1:] + edges[:-1])
     columns = [np.diff(edges)[:, None]]
     columns += [values[np.searchsorted(e, middle) - 1] for e, values in parts]
-    return np.ascontiguousarray(np.hstack(columns))
+    return process.condense(np.ascontiguousarray(np.hstack(columns)))
 
 
 def make_epochs(

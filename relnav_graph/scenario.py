@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from relnav_graph import models, sim, so3
+from relnav_graph import models, sim
 from relnav_graph.compiled import announce
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.initialise import initialise
 from relnav_graph.magnitude import wrong_unit
 from relnav_graph.models import Dynamics, Sensor
+from relnav_graph.priors import check_prior, make_prior
 from relnav_graph.problem import Epoch, Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
 from relnav_graph.robust import Loss
 from relnav_graph.settings import (
     MISSING,
-    BlockPrior,
     Problems,
     ScenarioError,
     ScenarioFile,
@@ -37,9 +37,9 @@ from relnav_graph.settings import (
     shared_orbit,
 )
 from relnav_graph.sim.flight import ControlledTruth, Controller
-from relnav_graph.state import Block, Layout
+from relnav_graph.state import Layout
 from relnav_graph.track import Truth
-from relnav_graph.units import Quantity, parse_quantity
+from relnav_graph.units import parse_quantity
 
 __all__ = ["Scenario", "ScenarioError", "load_scenario", "make_scenario", "override", "read_toml"]
 
@@ -72,6 +72,11 @@ class Scenario:
         """Robust loss of each sensor that has one."""
         found = self.options.items()
         return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
+
+    @property
+    def timings(self) -> dict[str, sim.Timing]:
+        """How each sensor measures when it is simulated."""
+        return {name: o.timing() for name, o in self.options.items()}
 
     @property
     def input_columns(self) -> dict[str, tuple[str, ...]]:
@@ -116,9 +121,22 @@ class Scenario:
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
                     f" of time.step, {self.file.time.step} s"
                 )
-        timings = {name: o.timing() for name, o in self.options.items()}
         models = self.processes, self.sensors
-        return sim.simulate(self.truth, self.inputs, *models, timings, self.times, seed, run)
+        return sim.simulate(self.truth, self.inputs, *models, self.timings, self.times, seed, run)
+
+    def completed(self, recording: Recording, seed: int, run: int = 0) -> Recording:
+        """A recording with the sensors that [data] has simulated on its truth.
+
+        Raises InputError when there is no truth, or none of what a sensor reads.
+        """
+        names = self.file.data.simulate if self.file.data is not None else []
+        if not names:
+            return recording
+        if recording.truth is None:
+            raise InputError(f"data.simulate: found {names}, but the recording has no truth")
+        sensors = {name: self.sensors[name] for name in names}
+        made = sim.measure_all(sensors, self.timings, recording.truth, seed, run)
+        return replace(recording, measurements=(*recording.measurements, *made))
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -177,6 +195,10 @@ def _check_choices(file: ScenarioFile, problems: Problems) -> None:
             find_class("relnav_graph.estimators", kind)
         except ModelError as error:
             problems.append((f"estimators[{i}]", str(error)))
+    for i, name in enumerate(file.data.simulate if file.data is not None else []):
+        if name not in file.sensors:
+            known = ", ".join(file.sensors)
+            problems.append((f"data.simulate[{i}]", f"unknown sensor {name!r}; known are {known}"))
     low, high = file.evaluate or (0.0, 1.0)
     if isinstance(low, float) and isinstance(high, float) and not low < high:
         problems.append(("evaluate", f"found {file.evaluate}, expected the earlier end first"))
@@ -194,77 +216,6 @@ def _check_inputs(
             if needed not in inputs:
                 message = f"missing: processes.{name} ({process.kind}) needs this input"
                 problems.append((f"inputs.{needed}", message))
-
-
-def _prior_sigma(block: Block, value: Any) -> Array:
-    if isinstance(value, list):
-        sigma = Quantity(block.unit, (block.dim,), positive=True).parse(value)
-    else:
-        sigma = np.full(block.dim, Quantity(block.unit, positive=True).parse(value))
-    return np.asarray(sigma)
-
-
-def _prior_mean(block: Block, value: list[Any]) -> Array:
-    tangent = np.array(Quantity(block.unit, (block.dim,)).parse(value))
-    return so3.exp(tangent) if block.manifold == "SO3" else tangent
-
-
-def _check_prior(layout: Layout, file: ScenarioFile, problems: Problems) -> None:
-    names = [b.name for b in layout]
-    for name in file.prior:
-        if name not in names:
-            problems.append((f"prior.{name}", f"unknown block; the state has {', '.join(names)}"))
-    for block in layout:
-        prior = file.prior.get(block.name)
-        if prior is None:
-            problems.append((f"prior.{block.name}", "missing: every block needs a prior"))
-            continue
-        try:
-            _prior_sigma(block, prior.sigma)
-        except InputError as error:
-            problems.append((f"prior.{block.name}.sigma", str(error)))
-        try:
-            if isinstance(prior.mean, list):
-                _prior_mean(block, prior.mean)
-        except InputError as error:
-            problems.append((f"prior.{block.name}.mean", str(error)))
-
-
-def make_prior(
-    layout: Layout,
-    priors: Mapping[str, BlockPrior],
-    truth: Truth | None,
-    t: float,
-    rng: np.random.Generator,
-) -> Prior:
-    """The prior at time t, s. Raises InputError when it needs a truth that is not known."""
-    sigma = np.concatenate([_prior_sigma(b, priors[b.name].sigma) for b in layout])
-    draw = sigma * rng.standard_normal(layout.dim)
-    means: dict[str, Array] = {}
-    for block in layout:
-        mean = priors[block.name].mean
-        if isinstance(mean, list):
-            means[block.name] = _prior_mean(block, mean)
-            draw[layout.tangent(block.name)] = 0.0
-            continue
-        if mean == "measured":  # a place to start from only
-            means[block.name] = block.unpack(layout.identity[layout.stored(block.name)])
-            draw[layout.tangent(block.name)] = 0.0
-            continue
-        value = np.full(1, np.nan)
-        if truth is not None and block.name in truth.values:
-            k = int(np.abs(truth.t - t).argmin())
-            if abs(truth.t[k] - t) < 1e-6:
-                value = truth.values[block.name][k]
-        if not np.isfinite(value).all():
-            raise InputError(
-                f"prior.{block.name}: mean = {mean!r} needs the truth at t = {t} s, which is"
-                " not known; give the mean as values"
-            )
-        means[block.name] = value
-        if mean == "truth":
-            draw[layout.tangent(block.name)] = 0.0
-    return Prior(layout.retract(layout.pack(means), draw), np.diag(sigma**2))
 
 
 def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile | None:
@@ -329,7 +280,7 @@ def make_scenario(
         except ModelError as error:
             problems.append(("", str(error)))
     if file is not None and layout is not None:
-        _check_prior(layout, file, problems)
+        check_prior(layout, file, problems)
         _check_inputs(made["processes"], file, inputs, problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)

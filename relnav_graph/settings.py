@@ -78,12 +78,14 @@ class TimeSettings(BaseModel):
 
 
 class DataSettings(BaseModel):
-    """Where recorded data come from: a reader of `relnav_graph.io.readers`."""
+    """Where recorded data come from: a reader of `relnav_graph.io.readers`; `simulate`: the
+    sensors that a raw folder lacks, simulated on its truth."""
 
     model_config = _STRICT
 
     reader: str
     options: dict[str, Any] = {}
+    simulate: list[str] = []
 
 
 class OutlierSettings(BaseModel):

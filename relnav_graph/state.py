@@ -312,6 +312,12 @@ TARGET_RATE = Block("target_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
 #: The same under another name, for a target whose axes are arbitrary.
 BODY_RATE = Block("body_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
 GYRO_BIAS = Block("gyro_bias", "b_c", "vector", 3, "rad/s", "c", "deg/h")
+ACCELEROMETER_BIAS = Block("accelerometer_bias", "b_f_c", "vector", 3, "m/s^2", "c", "m/s^2")
+#: The same bias as a second estimator of it finds it: the chaser's own navigation beside the
+#: relative one.
+ABSOLUTE_ACCELEROMETER_BIAS = Block(
+    "absolute_accelerometer_bias", "b_F_c", "vector", 3, "m/s^2", "c", "m/s^2"
+)
 #: artanh of the first two ratios l_x = (J_y - J_z) / J_x, l_y = (J_z - J_x) / J_y of the
 #: principal inertia. With k_z = -(k_x + k_y), l = tanh(k): l_x + l_y + l_z + l_x l_y l_z
 #: = 0 holds by the addition theorem, and every value belongs to a body of positive mass.

@@ -14,18 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.accelerometer_bias import AccelerometerBias
 from factors.attitude_odometry import AttitudeOdometry
 from factors.beacon_los import BeaconLineOfSight
 from factors.body_velocity import BodyVelocity
+from factors.earth_sensor import EarthSensor, EarthSensorBias
 from factors.eccentric_relative_motion import EccentricRelativeMotion
 from factors.euler_rotation import EulerRotation
 from factors.gps_position import GpsPosition
+from factors.gps_pseudorange import GpsPseudorange
 from factors.gravity_gradient_rotation import GravityGradientRotation
 from factors.gyro_bias import GyroBias
 from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
+from factors.inertial_orbit_motion import InertialOrbitMotion
+from factors.inertial_relative_motion import InertialRelativeMotion
+from factors.laser_range_angles import LaserRangeAngles
 from factors.orbit_two_body import OrbitTwoBody
 from factors.pose_odometry import PoseOdometry
 from factors.previous_pose import PreviousPose
+from factors.receiver_clock import ReceiverClock
 from factors.relative_attitude import VisionAttitude
 from factors.relative_pose import PositionInTarget, RelativeAttitude, TargetRateInChaser
 from factors.relative_two_body import RelativeTwoBody
@@ -55,7 +62,13 @@ SCALES: Mapping[str, tuple[float, float, float]] = {
     "body_rate": (1e-4, 0.05, 0.15),  # Euler's steps diverge at more
     "inertia_parameters": (0.01, 0.4, 1.0),
     "inertia_matrix_parameters": (0.01, 0.2, 0.5),
+    "accelerometer_bias": (1e-6, 1e-4, 1e-2),
+    "absolute_accelerometer_bias": (1e-6, 1e-4, 1e-2),
+    "clock_bias": (1.0, 1e3, 1e4),
+    "clock_drift": (0.01, 0.1, 10.0),
+    "earth_sensor_bias": (1e-5, 1e-3, 1e-2),
     "gyro": (1e-4, 0.05, 0.5),
+    "accelerometer": (1e-3, 0.03, 0.5),
     "velocity": (0.01, 0.5, 5.0),
 }
 
@@ -188,6 +201,19 @@ def position_sensor(model: Any) -> SensorExample:
     return SensorExample(model, draw_blocks(model.reads), step={"chaser_position": 30.0})
 
 
+def laser(**options: Any) -> SensorExample:
+    """Less than a kilometre away, so that ranges and angles both matter."""
+    model = LaserRangeAngles(range_sigma=5.0, range_scale=6e-4, angle_sigma=3e-3, **options)
+    steps = {b.name: 0.1 for b in model.reads} | {"relative_position": 3.0}
+
+    def draw(rng: np.random.Generator, regime: str) -> tuple[Array, ...]:
+        _, *attitude = (draw_block(b, rng, regime) for b in model.reads)
+        line = rng.normal(size=3)
+        return rng.uniform(100, 1000) * line / np.linalg.norm(line), *attitude
+
+    return SensorExample(model, draw, step=steps, least_large=1.0)
+
+
 def odometry(**options: Any) -> SensorExample:
     model = PoseOdometry(
         position_sigma=np.array([5e-3, 4e-3, 6e-3]), attitude_sigma=np.full(3, 0.01), **options
@@ -211,6 +237,55 @@ def relative_two_body(degree: Any, **options: Any) -> DynamicsExample:
     model = RelativeTwoBody(acceleration_density=1e-3, degree=degree, **options)
     companion = OrbitTwoBody(acceleration_density=0.01, degree=degree)
     return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6), {}, (companion,))
+
+
+def driven(cls: Any, navigation: Any, *companions: Any, **options: Any) -> DynamicsExample:
+    """An orbit with an accelerometer; biases stay as they are over an interval."""
+    model = cls(velocity_random_walk_density=5e-4, navigation=navigation, **options)
+    diffusion = constant(0, 0, 0, *[2.5e-7] * 3)
+    channels = {"gyro": 3, "accelerometer": 3}
+    return DynamicsExample(model, diffusion, channels, (*companions, gyro_model(1e-4, 1e-6)))
+
+
+def own_orbit(navigation: Any, degree: Any) -> InertialOrbitMotion:
+    return InertialOrbitMotion(
+        velocity_random_walk_density=5e-4, navigation=navigation, degree=degree
+    )
+
+
+def forgetting(cls: Any, sigma: float, **options: Any) -> DynamicsExample:
+    model = cls(sigma=sigma, time_constant=300.0, **options)
+    count = sum(b.dim for b in model.advances)
+    return DynamicsExample(model, constant(*[2 * sigma**2 / 300.0] * count))
+
+
+def pseudorange() -> SensorExample:
+    """Satellites over the equator, seen from high above a pole: none is ever hidden."""
+    model = GpsPseudorange(
+        sigma=30.0, satellites=6, planes=1, inclination=0.0, mask=-np.pi / 2, time=100.0
+    )
+
+    def draw(rng: np.random.Generator, regime: str) -> tuple[Array, ...]:
+        r_c, bias = (draw_block(b, rng, regime) for b in model.reads)
+        return r_c - PLACES["chaser_position"] + np.array([0.0, 0.0, 4e7]), bias
+
+    return SensorExample(model, draw, step={"chaser_position": 30.0, "clock_bias": 30.0})
+
+
+def earth_sensor(**options: Any) -> SensorExample:
+    """The Earth up to a radian off the sensor's axis."""
+    model = EarthSensor(sigma=3e-4, **options)
+
+    def draw(rng: np.random.Generator, regime: str) -> tuple[Array, ...]:
+        _, r_c, bias = (draw_block(b, rng, regime) for b in model.reads)
+        z_i, off = -r_c / np.linalg.norm(r_c), 0.7 * rng.uniform(-1, 1, 3)
+        x_i = np.cross(z_i, rng.normal(size=3))
+        x_i /= np.linalg.norm(x_i)
+        R_is = np.stack([x_i, np.cross(z_i, x_i), z_i], axis=1) @ so3.exp(off)
+        return R_is @ model.sensor_attitude.T, r_c, bias
+
+    step = {"chaser_attitude": 0.01, "chaser_position": 30.0, "earth_sensor_bias": 1e-3}
+    return SensorExample(model, draw, step=step)
 
 
 def relative_motion(**options: Any) -> DynamicsExample:
@@ -262,6 +337,16 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
             )
         ),
     ),
+    "gps_pseudorange": (pseudorange(),),
+    "earth_sensor": (
+        earth_sensor(),
+        earth_sensor(sensor_attitude=MOUNTED["sensor_attitude"]),
+    ),
+    "laser_range_angles": (
+        laser(),
+        laser(axes="orbital"),
+        laser(sensor_attitude=MOUNTED["sensor_attitude"]),
+    ),
     "star_tracker": (
         attitude_sensor(StarTracker(sigma=np.full(3, 2e-3))),
         attitude_sensor(
@@ -288,6 +373,24 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
             StereoPointCartesian(points=BEACONS, sigma=np.full(3, 0.01), pose="target", **MOUNTED)
         ),
     ),
+    "accelerometer_bias": (
+        forgetting(AccelerometerBias, 1e-4),
+        forgetting(AccelerometerBias, 1e-4, navigation="absolute"),
+    ),
+    "earth_sensor_bias": (forgetting(EarthSensorBias, 1e-4),),
+    "inertial_orbit_motion": (
+        driven(InertialOrbitMotion, "absolute"),
+        driven(InertialOrbitMotion, "relative", degree=0, max_step=2.5),
+    ),
+    "inertial_relative_motion": (
+        driven(InertialRelativeMotion, "relative", own_orbit("relative", 2)),
+        driven(InertialRelativeMotion, "absolute", own_orbit("absolute", 3), degree=3),
+    ),
+    "receiver_clock": (
+        DynamicsExample(
+            ReceiverClock(phase_density=0.1, frequency_density=0.02), constant(0.01, 4e-4)
+        ),
+    ),
     "body_velocity": (
         body_velocity("orbital", [0.1, 0.2, 0.05], "chaser_attitude"),
         body_velocity("target", 0.1, "relative_attitude"),
@@ -312,6 +415,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         gyro(1e-4, 1e-6, orbit=LOW),
         gyro([1e-4, 3e-4, 2e-4], [1e-4, 2e-4, 3e-4]),
         gyro(1e-4, 1e-4, attitude="relative_attitude"),
+        gyro(1e-4, 1e-4, bias_time_constant=600.0, samples="together"),
     ),
     "orbit_two_body": (
         orbit(0, position_density=0.1),

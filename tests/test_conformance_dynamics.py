@@ -112,7 +112,7 @@ class Chain:
         self.model, self.own = self.example.model, layout_of(name)
         blocks = list(self.own.blocks)
         for companion in self.example.companions:
-            blocks += companion.advances
+            blocks += companion.advances + companion.reads
         self.layout = Layout(blocks)
         self.n = Layout(self.model.advances).dim
 
@@ -140,9 +140,11 @@ class Chain:
         F[: self.n, : self.own.dim] = F_own
         for c in self.example.companions:
             stored, tangent = self.layout.gather(c.advances)
-            part, F_part, _ = transition(c, t, self.companion_inputs(c, u), x[stored])
+            read, columns = self.layout.gather(c.advances + c.reads)
+            part, F_part, _ = transition(c, t, self.companion_inputs(c, u), x[read])
             x_next[stored] = part
-            F[np.ix_(tangent, tangent)] = F_part
+            F[tangent] = 0.0
+            F[np.ix_(tangent, columns)] = F_part
         return x_next, F, Q
 
 
@@ -243,7 +245,8 @@ def test_noise_of_one_long_step_is_the_integral_where_little_turns(name: str) ->
 @pytest.mark.parametrize("name", FLOWS)
 def test_noise_goes_with_the_square_of_the_densities_and_nothing_else_does(name: str) -> None:
     model = DYNAMICS[name].model
-    densities = [f.name for f in dataclasses.fields(model) if f.name.endswith("_density")]
+    fields = [f.name for f in dataclasses.fields(model)]
+    densities = [f for f in fields if f.endswith("_density") or f in model.noises]
     assert densities, f"{name}: a process model declares the densities of its noise"
     quiet = dataclasses.replace(model, **{d: 1e-6 * getattr(model, d) for d in densities})
     for i in intervals(name, "moderate"):

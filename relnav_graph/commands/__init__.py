@@ -99,7 +99,10 @@ def open_pass(
     else:
         recording = read_folder(path, data, assignments)
         scenario = load_scenario(path, assignments, recording.settings)
-    return Pass(scenario, recording, scenario.file.seed if seed is None else seed, False)
+    seed = scenario.file.seed if seed is None else seed
+    if not is_dataset(data):
+        recording = scenario.completed(recording, seed, run)
+    return Pass(scenario, recording, seed, False, run)
 
 
 def read_folder(path: Path, folder: Path, assignments: Sequence[str]) -> Recording:

@@ -116,7 +116,7 @@ def measure_once(
 ) -> Measurement | None:
     """What a sensor measures at time t, s, at true values x of the blocks that it reads;
     None when it sees nothing. See `measure`."""
-    seen, rows = _seen(sensor, sensor.observables(), x)
+    seen, rows = _seen(sensor.at(t), sensor.observables(), x)
     if not len(seen):
         return None
     clean = Measurement(name, t, rows, seen)
@@ -152,6 +152,22 @@ def measure(
         found = measure_once(name, sensor, timing, float(t), x, rng, outliers)
         out += [] if found is None else [found]
     return out
+
+
+def measure_all(
+    sensors: Mapping[str, Sensor],
+    timings: Mapping[str, Timing],
+    truth: Truth,
+    seed: int,
+    run: int = 0,
+) -> tuple[Measurement, ...]:
+    """What all sensors would have measured, each with a stream of its own; see `measure`."""
+    out: list[Measurement] = []
+    for name, sensor in sensors.items():
+        rng = stream(seed, run, f"sensor {name}")
+        outliers = stream(seed, run, f"outliers {name}")
+        out += measure(name, sensor, timings.get(name, Timing()), truth, rng, outliers)
+    return tuple(out)
 
 
 def simulate(
@@ -192,10 +208,4 @@ def simulate(
             truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
     known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
     truth = Truth(truth.t, known, truth.source)
-    measurements: list[Measurement] = []
-    for name, sensor in sensors.items():
-        rng = stream(seed, run, f"sensor {name}")
-        outliers = stream(seed, run, f"outliers {name}")
-        timing = timings.get(name, Timing())
-        measurements += measure(name, sensor, timing, truth, rng, outliers)
-    return Recording(times, tuple(measurements), series, truth)
+    return Recording(times, measure_all(sensors, timings, truth, seed, run), series, truth)

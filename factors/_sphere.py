@@ -1,0 +1,93 @@
+"""Directions: unit vectors, and the residual on the sphere that all that measure one share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.compiled import jit
+
+Array = NDArray[np.float64]
+#: What a status of 1 of :func:`sphere_residual` means.
+OPPOSITE = 1
+
+
+@jit
+def direction(p: Array, jacobian: Array) -> tuple[Array, float]:
+    """Unit vector (3,) along p (3,), and its length. jacobian: of p, (3, n); becomes that of
+    the unit vector."""
+    distance = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
+    b = np.empty(3)
+    for i in range(3):
+        b[i] = p[i] / distance
+    for j in range(jacobian.shape[1]):
+        along = b[0] * jacobian[0, j] + b[1] * jacobian[1, j] + b[2] * jacobian[2, j]
+        for i in range(3):
+            jacobian[i, j] = (jacobian[i, j] - along * b[i]) / distance
+    return b, distance
+
+
+@jit
+def tangent_basis(b: Array) -> Array:
+    """Two unit vectors across the unit vector b, as the columns of a (3, 2) matrix."""
+    smallest = 0
+    for i in range(1, 3):
+        if abs(b[i]) < abs(b[smallest]):
+            smallest = i
+    axis = np.zeros(3)
+    axis[smallest] = 1.0
+    first = so3.cross(b, axis)
+    norm = np.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    second = so3.cross(b, first)
+    out = np.empty((3, 2))
+    for i in range(3):
+        out[i, 0], out[i, 1] = first[i] / norm, second[i] / norm
+    return out
+
+
+@jit
+def turned(lines: Array, e: Array) -> Array:
+    """Unit vectors (k, 3), each turned by the rotation e (k, 2), rad, across it."""
+    out = np.empty(lines.shape)
+    for k in range(lines.shape[0]):
+        basis = tangent_basis(lines[k])
+        angle = np.sqrt(e[k, 0] ** 2 + e[k, 1] ** 2)
+        stretch = np.sin(angle) / angle if angle > 0.0 else 1.0
+        for i in range(3):
+            step = basis[i, 0] * e[k, 0] + basis[i, 1] * e[k, 1]
+            out[k, i] = np.cos(angle) * lines[k, i] + stretch * step
+    return out
+
+
+@jit
+def sphere_residual(z: Array, b: Array, db: Array, row: int, r: Array, H: Array) -> int:
+    """Fill two rows, from `row` on, of r and of H with the rotation, in rad, from the
+    measured unit vector z to the predicted b, resolved across z (the logarithm of the
+    sphere; its noise has rank 2), and its Jacobian. db (3, n): the Jacobian of b.
+
+    Returns `OPPOSITE` when b is opposite to z, else 0.
+    """
+    basis = tangent_basis(z)
+    across = so3.unrotate(basis, b)
+    c = z[0] * b[0] + z[1] * b[1] + z[2] * b[2]
+    s = np.sqrt(across[0] ** 2 + across[1] ** 2)
+    angle = np.arctan2(s, c)
+    if angle > 3.14:
+        return OPPOSITE
+    if angle < 0.05:  # series of angle / sin and of its derivative by cos, to 1e-10
+        a2 = angle * angle
+        stretch = 1 + a2 / 6 * (1 + 7 * a2 / 60)
+        slope = -1 / 3.0 - 2 * a2 / 15 - 2 * a2 * a2 / 63
+    else:
+        stretch = angle / s
+        slope = -(s - angle * c) / s**3
+    for i in range(2):
+        r[row + i] = stretch * across[i]
+        for j in range(db.shape[1]):
+            cos_j = z[0] * db[0, j] + z[1] * db[1, j] + z[2] * db[2, j]
+            value = slope * across[i] * cos_j
+            for k in range(3):
+                value += stretch * basis[k, i] * db[k, j]
+            H[row + i, j] = value
+    return 0

@@ -1,0 +1,93 @@
+"""Priors of scenarios: a mean and a sigma for each block, checked and made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.errors import InputError
+from relnav_graph.problem import Prior
+from relnav_graph.settings import BlockPrior, Problems, ScenarioFile
+from relnav_graph.state import Block, Layout
+from relnav_graph.track import Truth
+from relnav_graph.units import Quantity
+
+__all__ = ["check_prior", "make_prior"]
+
+Array = NDArray[np.float64]
+
+
+def _prior_sigma(block: Block, value: Any) -> Array:
+    if isinstance(value, list):
+        sigma = Quantity(block.unit, (block.dim,), positive=True).parse(value)
+    else:
+        sigma = np.full(block.dim, Quantity(block.unit, positive=True).parse(value))
+    return np.asarray(sigma)
+
+
+def _prior_mean(block: Block, value: list[Any]) -> Array:
+    tangent = np.array(Quantity(block.unit, (block.dim,)).parse(value))
+    return so3.exp(tangent) if block.manifold == "SO3" else tangent
+
+
+def check_prior(layout: Layout, file: ScenarioFile, problems: Problems) -> None:
+    """Note in `problems` what is wrong with the priors of a file."""
+    names = [b.name for b in layout]
+    for name in file.prior:
+        if name not in names:
+            problems.append((f"prior.{name}", f"unknown block; the state has {', '.join(names)}"))
+    for block in layout:
+        prior = file.prior.get(block.name)
+        if prior is None:
+            problems.append((f"prior.{block.name}", "missing: every block needs a prior"))
+            continue
+        try:
+            _prior_sigma(block, prior.sigma)
+        except InputError as error:
+            problems.append((f"prior.{block.name}.sigma", str(error)))
+        try:
+            if isinstance(prior.mean, list):
+                _prior_mean(block, prior.mean)
+        except InputError as error:
+            problems.append((f"prior.{block.name}.mean", str(error)))
+
+
+def make_prior(
+    layout: Layout,
+    priors: Mapping[str, BlockPrior],
+    truth: Truth | None,
+    t: float,
+    rng: np.random.Generator,
+) -> Prior:
+    """The prior at time t, s. Raises InputError when it needs a truth that is not known."""
+    sigma = np.concatenate([_prior_sigma(b, priors[b.name].sigma) for b in layout])
+    draw = sigma * rng.standard_normal(layout.dim)
+    means: dict[str, Array] = {}
+    for block in layout:
+        mean = priors[block.name].mean
+        if isinstance(mean, list):
+            means[block.name] = _prior_mean(block, mean)
+            draw[layout.tangent(block.name)] = 0.0
+            continue
+        if mean == "measured":  # a place to start from only
+            means[block.name] = block.unpack(layout.identity[layout.stored(block.name)])
+            draw[layout.tangent(block.name)] = 0.0
+            continue
+        value = np.full(1, np.nan)
+        if truth is not None and block.name in truth.values:
+            k = int(np.abs(truth.t - t).argmin())
+            if abs(truth.t[k] - t) < 1e-6:
+                value = truth.values[block.name][k]
+        if not np.isfinite(value).all():
+            raise InputError(
+                f"prior.{block.name}: mean = {mean!r} needs the truth at t = {t} s, which is"
+                " not known; give the mean as values"
+            )
+        means[block.name] = value
+        if mean == "truth":
+            draw[layout.tangent(block.name)] = 0.0
+    return Prior(layout.retract(layout.pack(means), draw), np.diag(sigma**2))
