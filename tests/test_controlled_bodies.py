@@ -109,7 +109,7 @@ def test_model_of_the_estimators_follows_the_truth() -> None:
 def test_drag_pushes_on_the_centre_of_pressure() -> None:
     faces, centre = np.array([14.0, 110.0, 60.0]), np.array([0.5, 0.2, -0.2])
     still = replace(PAIR, target_rate=np.zeros(3))
-    windy = replace(still, air_density=1e-9, target_faces=faces, target_pressure_centre=centre)
+    windy = replace(still, atmosphere=1e-9, target_faces=faces, target_pressure_centre=centre)
     rates = []
     for truth in (still, windy):
         flight = start(truth)

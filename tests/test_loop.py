@@ -209,7 +209,7 @@ def test_observer_converges_from_any_attitude_and_rate() -> None:
 
 def test_observer_without_noise_finds_attitude_and_rate_exactly() -> None:
     quiet = ('sensors.far.sigma="1e-9 deg"', 'sensors.near.sigma="1e-9 deg"')
-    still = ("truth.air_density=0.0", "time.epochs=5001")  # drag is what it does not know
+    still = ("truth.atmosphere=0.0", "time.epochs=5001")  # drag is what it does not know
     one = fly(short(*quiet, *still), "momentum_observer", seed=3)
     assert last_error(one, "target_attitude") < np.radians(0.01)
     assert last_error(one, "target_rate") < np.radians(1e-4)

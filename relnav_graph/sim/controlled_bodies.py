@@ -47,7 +47,7 @@ class ControlledBodies:
     chaser_attitude: R_it and R_ic as rotation vectors, rad; random_attitude: the target's is
     drawn, uniform over all. target_rate, chaser_rate: w_ti_t and w_ci_c, rad/s;
     target_rate_sigma: per axis, of what is drawn and added to the target's, rad/s.
-    air_density: kg/m^3; drag_coefficient; target_faces, chaser_faces: areas across the body's
+    atmosphere: its density, kg/m^3; drag_coefficient; target_faces, chaser_faces: areas across the body's
     axes, m^2; target_pressure_centre, chaser_pressure_centre: from the centre of mass, m.
     max_step: longest integration step, s.
 
@@ -68,7 +68,7 @@ class ControlledBodies:
     target_rate_sigma: Annotated[float, Quantity("rad/s", nonnegative=True)] = 0.0
     chaser_attitude: Annotated[Array, Quantity("rad", (3,))] = field(default_factory=_zeros)
     chaser_rate: Annotated[Array, Quantity("rad/s", (3,))] = field(default_factory=_zeros)
-    air_density: Annotated[float, Quantity("kg/m^3", nonnegative=True)] = 0.0
+    atmosphere: Annotated[float, Quantity("kg/m^3", nonnegative=True)] = 0.0
     drag_coefficient: Annotated[float, Quantity("1", nonnegative=True)] = 2.2
     target_faces: Annotated[Array, Quantity("m^2", (3,), nonnegative=True)] = field(
         default_factory=_zeros
@@ -132,7 +132,7 @@ class BodiesFlight:
         self.t, self._y, self._max_step = t, y, truth.max_step
         self._orbit = circular_orbit(
             *(truth.semi_major_axis, truth.inclination, truth.raan, truth.argument_of_latitude),
-            truth.air_density * truth.drag_coefficient,
+            truth.atmosphere * truth.drag_coefficient,
         )
         self._bodies = np.array(
             [
