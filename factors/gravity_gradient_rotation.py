@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -129,7 +128,7 @@ class GravityGradientRotation(DynamicsModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._numbers  # noqa: B018  raises on what cannot be
+        object.__setattr__(self, "_numbers", self._constants())
 
     @property
     def free(self) -> EulerRotation:
@@ -150,10 +149,9 @@ class GravityGradientRotation(DynamicsModel):
         return self.free.caution(length, *x)
 
     def constants(self) -> Array:
-        return self._numbers
+        return self._numbers  # type: ignore[attr-defined,no-any-return]
 
-    @cached_property
-    def _numbers(self) -> Array:
+    def _constants(self) -> Array:
         orbit = KeplerOrbit(self.semi_major_axis, self.eccentricity, self.true_anomaly, self.mu)
         z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
         R_ip = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
@@ -164,7 +162,7 @@ class GravityGradientRotation(DynamicsModel):
 
     def torque(self, t: float, R_it: Array) -> Array:
         """The known torque (3,) at time t, s, in t, N m."""
-        return gradient_torque(self._numbers, t, np.ascontiguousarray(R_it))[0]
+        return gradient_torque(self.constants(), t, np.ascontiguousarray(R_it))[0]
 
     def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
         """What a steady spin hides."""

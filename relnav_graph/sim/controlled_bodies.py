@@ -47,8 +47,9 @@ class ControlledBodies:
     chaser_attitude: R_it and R_ic as rotation vectors, rad; random_attitude: the target's is
     drawn, uniform over all. target_rate, chaser_rate: w_ti_t and w_ci_c, rad/s;
     target_rate_sigma: per axis, of what is drawn and added to the target's, rad/s.
-    atmosphere: its density, kg/m^3; drag_coefficient; target_faces, chaser_faces: areas across the body's
-    axes, m^2; target_pressure_centre, chaser_pressure_centre: from the centre of mass, m.
+    atmosphere: its density, kg/m^3; drag_coefficient; target_faces, chaser_faces: areas
+    across the body's axes, m^2; target_pressure_centre, chaser_pressure_centre: from the
+    centre of mass, m.
     max_step: longest integration step, s.
 
     Raises InputError on an inertia that no body has.
