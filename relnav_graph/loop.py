@@ -8,7 +8,7 @@ the noises are the same for all. What was flown is then scored like any other pa
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -254,15 +254,22 @@ class Passed:
     tracks: Sequence[Track]
 
 
-def run_passes(scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0) -> list[Passed]:
+def run_passes(
+    scenario: Scenario,
+    kinds: Sequence[str],
+    seed: int,
+    run: int = 0,
+    estimate: Callable[[str, Problem], Track] = try_estimator,
+) -> list[Passed]:
     """A run of a scenario: the simulated pass with all estimators, or, where there is a
-    controller, the passes that they fly. Raises InputError as these do."""
+    controller, the passes that they fly. estimate: what runs an estimator on a pass that was
+    simulated. Raises InputError as these do."""
     if scenario.control is not None:
         flown = fly_all(scenario, kinds, seed, run)
         return [Passed(f.problem, f.track.truth, [f.track]) for f in flown]
     recording = scenario.simulate(seed, run)
     problem = scenario.problem(recording, seed, run)
-    return [Passed(problem, recording.truth, [try_estimator(kind, problem) for kind in kinds])]
+    return [Passed(problem, recording.truth, [estimate(kind, problem) for kind in kinds])]
 
 
 def warm_up(scenario: Scenario, kinds: Sequence[str], seed: int) -> None:

@@ -86,7 +86,7 @@ def run_record(spec_json: str, run: int) -> bytes:
 def _run(spec: StudySpec, scenario: Scenario, run: int) -> Record:
     return make_record(
         run,
-        loop.run_passes(scenario, spec.estimators, spec.seed, run),
+        loop.run_passes(scenario, spec.estimators, spec.seed, run, try_estimator),
         derived_quantities(scenario.layout),
         scenario.window(scenario.times),
         sim.stream(spec.seed, run, "probes"),
