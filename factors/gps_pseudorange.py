@@ -21,6 +21,8 @@ from .receiver_clock import CLOCK_BIAS
 Array = NDArray[np.float64]
 #: Distances from the Earth's centre that a navigation satellite can have, m.
 _LOWEST, _HIGHEST = 1e7, 5e7
+#: A clock so wrong that a pseudorange is shorter than that, m, is set before it is used.
+_SHORTEST = 1e6
 
 
 @jit
@@ -93,6 +95,12 @@ class GpsPseudorange(SensorModel):
             raise InputError(
                 f"{self.kind}: found a satellite {distance[bad][0]:.6g} m from the Earth's"
                 f" centre, expected {_LOWEST:g} to {_HIGHEST:g} m (km given for m?)"
+            )
+        bad = ~(z[:, 0] > _SHORTEST)
+        if bad.any():
+            raise InputError(
+                f"{self.kind}: found a pseudorange of {z[bad][0, 0]:.6g} m, expected one above"
+                f" {_SHORTEST:g} m (km given for m?)"
             )
         return z
 
