@@ -21,6 +21,8 @@ from .receiver_clock import CLOCK_BIAS
 Array = NDArray[np.float64]
 #: Distances from the Earth's centre that a navigation satellite can have, m.
 _LOWEST, _HIGHEST = 1e7, 5e7
+#: A clock so wrong that a pseudorange is shorter than that, m, is set before it is used.
+_SHORTEST = 1e6
 
 
 @jit
@@ -94,6 +96,12 @@ class GpsPseudorange(SensorModel):
                 f"{self.kind}: found a satellite {distance[bad][0]:.6g} m from the Earth's"
                 f" centre, expected {_LOWEST:g} to {_HIGHEST:g} m (km given for m?)"
             )
+        bad = ~(z[:, 0] > _SHORTEST)
+        if bad.any():
+            raise InputError(
+                f"{self.kind}: found a pseudorange of {z[bad][0, 0]:.6g} m, expected one above"
+                f" {_SHORTEST:g} m (km given for m?)"
+            )
         return z
 
     def at(self, t: float) -> GpsPseudorange:
@@ -113,19 +121,28 @@ class GpsPseudorange(SensorModel):
         y = c * np.sin(node) + level * np.cos(node)
         return self.semi_major_axis * np.stack([x, y, height], axis=1)
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
-        """Pseudorange and place (k, 4), m. Raises GeometryError when a satellite is below
-        the mask or behind the Earth."""
-        r_c, bias = x
+    def _lines(self, ids: NDArray[np.int64], r_c: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Places (k, 3) and distances (k,), m, and which are below the mask or behind the
+        Earth (k,)."""
         places = self.places(ids)
         line = places - r_c
         distance = np.sqrt((line**2).sum(axis=1))
-        along = line @ r_c / (distance * np.sqrt(r_c @ r_c))
-        nearest = np.where(along < 0, r_c @ r_c * (1 - along**2), np.inf)
-        hidden = (along < np.sin(self.mask)) | (nearest < EARTH_RADIUS**2)
+        square = r_c @ r_c
+        along = line @ r_c / (distance * np.sqrt(square))
+        behind = (along < 0) & (square * (1 - along**2) < EARTH_RADIUS**2)
+        return places, distance, (along < np.sin(self.mask)) | behind
+
+    def in_view(self, ids: NDArray[np.int64], *x: Array) -> NDArray[np.int64]:
+        """Those above the mask and not behind the Earth."""
+        return ids[~self._lines(ids, x[0])[2]]
+
+    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+        """Pseudorange and place (k, 4), m. Raises GeometryError when a satellite is below
+        the mask or behind the Earth."""
+        places, distance, hidden = self._lines(ids, x[0])
         if hidden.any():
             raise GeometryError(f"{self.kind}: satellite {ids[hidden][0]} is below the mask")
-        return np.hstack([(distance + bias)[:, None], places])
+        return np.hstack([(distance + x[1])[:, None], places])
 
     def perturb(self, z: Array, e: Array) -> Array:
         """Add e (k, 1), m, to the pseudoranges."""

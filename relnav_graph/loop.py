@@ -27,12 +27,12 @@ from relnav_graph.errors import (
 )
 from relnav_graph.estimators import GROUP, diverged, try_estimator
 from relnav_graph.models import Measurement
-from relnav_graph.problem import SAME_TIME, Epoch, InputSeries, Problem, process_inputs
+from relnav_graph.problem import SAME_TIME, Epoch, Problem, process_inputs
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario
 from relnav_graph.sim.flight import Flight
-from relnav_graph.sim.own_models import ConstantInput
+from relnav_graph.sim.interval_inputs import IntervalInputs
 from relnav_graph.track import Track, Truth
 
 __all__ = ["ClosedLoop", "Flown", "Passed", "flies", "fly", "fly_all", "run_passes", "warm_up"]
@@ -46,52 +46,6 @@ class Flown:
 
     problem: Problem
     track: Track
-
-
-class _Inputs:
-    """The inputs of a whole pass: their errors, drawn beforehand, wait for the true means.
-
-    truths: true values of biases by name, (N, channels) at all epochs.
-    """
-
-    def __init__(self, scenario: Scenario, times: Array, seed: int, run: int) -> None:
-        self._steady: dict[str, InputSeries] = {}
-        self._errors: dict[str, tuple[Array, Array]] = {}
-        self.truths: dict[str, Array] = {}
-        t0, t1 = float(times[0]), float(times[-1])
-        for name, source in scenario.inputs.items():
-            if isinstance(source, ConstantInput):
-                self._steady[name] = source.series(name, t0, t1)
-                continue
-            edges = source.edges(t0, t1)
-            columns = len(scenario.input_columns[name])
-            rng = sim.stream(seed, run, f"input {name}")
-            nothing = np.zeros((len(edges) - 1, columns))
-            series, bias = source.sample(nothing, edges[:-1], edges[1:], rng)
-            self._errors[name] = edges, series.values
-            self.truths[f"{name}_bias"] = bias[np.searchsorted(edges, times - SAME_TIME)]
-
-    def edges(self, t0: float, t1: float) -> dict[str, Array]:
-        """Of the samples of each input that the truth drives from t0 to t1, s."""
-        return {name: e[_span(name, e, t0, t1)] for name, (e, _) in self._errors.items()}
-
-    def over(self, t0: float, t1: float, means: Mapping[str, Array]) -> dict[str, InputSeries]:
-        """What the inputs read from t0 to t1, s, of true means."""
-        found = dict(self._steady)
-        for name, (e, errors) in self._errors.items():
-            part = _span(name, e, t0, t1)
-            own = slice(part.start, part.stop - 1)
-            values = means[name] + errors[own]
-            found[name] = InputSeries(name, e[own], e[own.start + 1 : part.stop], values)
-        return found
-
-
-def _span(name: str, edges: Array, t0: float, t1: float) -> slice:
-    """The edges from t0 to t1. Raises InputError when a sample lies across one of them."""
-    a, b = (int(k) for k in np.searchsorted(edges, np.array([t0, t1]) - SAME_TIME))
-    if max(abs(edges[a] - t0), abs(edges[b] - t1)) > SAME_TIME:
-        raise InputError(f"inputs.{name}: a sample lies across an epoch at {t0} s or {t1} s")
-    return slice(a, b + 1)
 
 
 class ClosedLoop:
@@ -108,7 +62,12 @@ class ClosedLoop:
             raise InputError(f"{scenario.name}: no [truth] to fly")
         self.scenario, self._law, self.times = scenario, scenario.control, scenario.times
         self.count = len(self.times)
-        self._inputs = _Inputs(scenario, self.times, seed, run)
+        self._inputs = IntervalInputs(
+            scenario.inputs,
+            {name: len(columns) for name, columns in scenario.input_columns.items()},
+            self.times,
+            lambda name: sim.stream(seed, run, f"input {name}"),
+        )
         self._flight: Flight = scenario.truth.fly(
             float(self.times[0]), sim.stream(seed, run, "truth")
         )
@@ -144,8 +103,7 @@ class ClosedLoop:
     def _reached(self) -> tuple[Measurement, ...]:
         """Note the truth where the flight is now, and measure it."""
         k = len(self._values)
-        biases = {name: values[k] for name, values in self._inputs.truths.items()}
-        values = {**self._flight.values(), **biases}
+        values = {**self._flight.values(), **self._inputs.biases(k)}
         self._values.append(values)
         t, t0, found = float(self.times[k]), float(self.times[0]), []
         for name, sensor in self.scenario.sensors.items():

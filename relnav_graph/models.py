@@ -107,6 +107,9 @@ class Sensor(Protocol):
     def at(self, t: float) -> Sensor:
         """The sensor as it is at time t, s, for the simulator: transmitters may move."""
 
+    def in_view(self, ids: NDArray[np.int64], *x: Array) -> NDArray[np.int64]:
+        """Those of the ids that are worth a try in simulation."""
+
     def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
         """z (k, nz) without noise, from one value per block read. Raises GeometryError."""
 
@@ -271,6 +274,10 @@ class SensorModel:
     def at(self, t: float) -> Sensor:
         """The same at all times, unless a model says otherwise."""
         return self  # type: ignore[return-value]
+
+    def in_view(self, ids: NDArray[np.int64], *x: Array) -> NDArray[np.int64]:
+        """All of them, unless a model says otherwise."""
+        return ids
 
     def perturb(self, z: Array, e: Array) -> Array:
         return z + e

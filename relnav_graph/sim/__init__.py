@@ -14,6 +14,7 @@ from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.models import Dynamics, Measurement, Sensor
 from relnav_graph.problem import InputSeries, layout_of
 from relnav_graph.recording import Recording
+from relnav_graph.sim.interval_inputs import IntervalInputs
 from relnav_graph.sim.own_models import ConstantInput, OwnModels
 from relnav_graph.track import Truth
 
@@ -116,7 +117,8 @@ def measure_once(
 ) -> Measurement | None:
     """What a sensor measures at time t, s, at true values x of the blocks that it reads;
     None when it sees nothing. See `measure`."""
-    seen, rows = _seen(sensor.at(t), sensor.observables(), x)
+    now = sensor.at(t)
+    seen, rows = _seen(now, now.in_view(now.observables(), *x), x)
     if not len(seen):
         return None
     clean = Measurement(name, t, rows, seen)
@@ -170,6 +172,29 @@ def measure_all(
     return tuple(out)
 
 
+def _drifted(
+    truth_model: Any, inputs: IntervalInputs, times: Array, rng: np.random.Generator
+) -> tuple[Truth, dict[str, InputSeries]]:
+    """A pass flown without commands, and its inputs. Raises InputError when the truth cannot
+    be flown or cannot drive an input."""
+    if not hasattr(truth_model, "fly"):
+        raise InputError(f"truth.kind: found {truth_model.kind!r}, which drives no such inputs")
+    flight = truth_model.fly(float(times[0]), rng)
+    values = [{**flight.values(), **inputs.biases(0)}]
+    parts: list[dict[str, InputSeries]] = []
+    for k in range(1, len(times)):
+        t0, t1 = float(times[k - 1]), float(times[k])
+        parts.append(inputs.over(t0, t1, flight.advance(t1, None, inputs.edges(t0, t1))))
+        values.append({**flight.values(), **inputs.biases(k)})
+    series = {}
+    for name in parts[0] if parts else ():
+        own = [part[name] for part in parts]
+        columns = ([s.t_start for s in own], [s.t_end for s in own], [s.values for s in own])
+        series[name] = InputSeries(name, *(np.concatenate(c) for c in columns))
+    found = {name: np.array([v[name] for v in values]) for name in values[0]}
+    return Truth(times, found, truth_model.source), series
+
+
 def simulate(
     truth_model: Any,
     inputs: Mapping[str, Any],
@@ -194,6 +219,12 @@ def simulate(
             series[name] = source.series(name, t0, t1)
         rng = stream(seed, run, "truth")
         truth = truth_model.simulate(layout, processes, series, times, rng)
+    elif any(hasattr(source, "begin") for source in inputs.values()):
+        columns = {name: len(c) for p in processes.values() for name, c in p.inputs.items()}
+        drawn = IntervalInputs(
+            inputs, columns, times, lambda name: stream(seed, run, f"input {name}")
+        )
+        truth, series = _drifted(truth_model, drawn, times, stream(seed, run, "truth"))
     else:
         truth = truth_model.simulate(times, stream(seed, run, "truth"))
         for name, source in inputs.items():

@@ -1,0 +1,209 @@
+"""Truth of a chaser that thrusts towards a free target, with what its receivers carry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph import so3
+from relnav_graph.errors import InputError
+from relnav_graph.sim.powered_dynamics import fly_orbits, sample_attitude, wobbled
+from relnav_graph.sim.truth import RigidBodyPair, checked_times
+from relnav_graph.track import Truth
+from relnav_graph.units import Quantity, check_fields
+
+__all__ = ["PoweredFlight", "PoweredOrbits"]
+
+Array = NDArray[np.float64]
+
+
+def _zeros() -> Array:
+    return np.zeros(3)
+
+
+def nadir_attitude(r: Array, v: Array) -> Array:
+    """R_ic of a craft whose z looks at the Earth's centre, y against its orbit's normal."""
+    z_i, y_i = -r / np.sqrt(r @ r), so3.cross(v, r)
+    y_i /= np.sqrt(y_i @ y_i)
+    return np.array([so3.cross(y_i, z_i), y_i, z_i]).T.copy()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PoweredOrbits:
+    """Chaser and target under gravity with J2, J3, J4, each with an acceleration of its own
+    that wanders (Gauss-Markov); the chaser has a thruster. All holds at the first epoch.
+
+    semi_major_axis (m), eccentricity, true_anomaly, inclination, raan, argument_of_perigee
+    (rad): orbit of the target. relative_position: r_tc, m, and relative_velocity, m/s, its
+    derivative there, in RTN axes of the target. mass: kg, constant; max_thrust: N, the
+    longest that a command can have; acceleration_sigma: m/s^2, per axis, and
+    acceleration_time_constant: s, of the wandering accelerations. The chaser's z looks at the
+    Earth; wobble: rad, amplitude of small turns about that, and wobble_period: s.
+
+    clock_bias: m, clock_drift: m/s, frequency_density: m/s^1.5, of the receiver's clock;
+    earth_sensor_bias: rad, both angles, earth_sensor_sigma: rad, in the long run, and
+    earth_sensor_time_constant: s.
+
+    Raises InputError on an orbit that is not an ellipse.
+    """
+
+    kind: ClassVar[str] = "powered_orbits"
+
+    semi_major_axis: Annotated[float, Quantity("m", positive=True)]
+    relative_position: Annotated[Array, Quantity("m", (3,))]
+    relative_velocity: Annotated[Array, Quantity("m/s", (3,))] = field(default_factory=_zeros)
+    eccentricity: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
+    true_anomaly: Annotated[float, Quantity("rad")] = 0.0
+    inclination: Annotated[float, Quantity("rad")] = 0.0
+    raan: Annotated[float, Quantity("rad")] = 0.0
+    argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
+    mass: Annotated[float, Quantity("kg", positive=True)]
+    max_thrust: Annotated[float, Quantity("N", nonnegative=True)]
+    acceleration_sigma: Annotated[float, Quantity("m/s^2", nonnegative=True)] = 0.0
+    acceleration_time_constant: Annotated[float, Quantity("s", positive=True)] = 3600.0
+    wobble: Annotated[float, Quantity("rad", nonnegative=True)] = 0.0
+    wobble_period: Annotated[float, Quantity("s", positive=True)] = 10.0
+    clock_bias: Annotated[float, Quantity("m")] = 0.0
+    clock_drift: Annotated[float, Quantity("m/s")] = 0.0
+    frequency_density: Annotated[float, Quantity("m/s^1.5", nonnegative=True)] = 0.0
+    earth_sensor_bias: Annotated[float, Quantity("rad")] = 0.0
+    earth_sensor_sigma: Annotated[float, Quantity("rad", nonnegative=True)] = 0.0
+    earth_sensor_time_constant: Annotated[float, Quantity("s", positive=True)] = 3600.0
+    max_step: Annotated[float, Quantity("s", positive=True)] = 1.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        self.craft()
+
+    @property
+    def source(self) -> str:
+        """What it is, and what it leaves out."""
+        return (
+            "powered_orbits: both craft integrated in an inertial frame with J2, J3, J4 and"
+            " wandering accelerations; the chaser's attitude is a given motion. Not modelled:"
+            " other harmonics, third bodies, propellant used, thruster errors, attitude control"
+        )
+
+    def craft(self) -> Array:
+        """(12,): position and velocity of the target, then of the chaser."""
+        names = ("semi_major_axis", "eccentricity", "true_anomaly", "inclination", "raan")
+        pair = RigidBodyPair(
+            **{name: getattr(self, name) for name in (*names, "argument_of_perigee")},
+            relative_position=self.relative_position,
+            relative_velocity=self.relative_velocity,
+            target_inertia=np.ones(3),
+            target_rate=np.zeros(3),
+        )
+        y: Array = pair.initial_state()[:12].copy()
+        y[6:] += y[:6]
+        return y
+
+    def fly(self, t: float, rng: np.random.Generator) -> PoweredFlight:
+        """A flight that begins at time t, s."""
+        return PoweredFlight(self, float(t), rng)
+
+    def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
+        """Truth at `times` (N,), s, without thrust. Raises InputError on times out of order.
+
+        Values: see `PoweredFlight.values`.
+        """
+        t = checked_times(times)
+        flight = self.fly(float(t[0]), rng)
+        found = [flight.values()]
+        for now in t[1:]:
+            flight.advance(float(now), None, {})
+            found.append(flight.values())
+        values = {name: np.array([v[name] for v in found]) for name in found[0]}
+        return Truth(t, values, self.source)
+
+
+class PoweredFlight:
+    """Both craft at one time."""
+
+    def __init__(self, truth: PoweredOrbits, t: float, rng: np.random.Generator) -> None:
+        self.t, self._truth, self._rng = t, truth, rng
+        self._y = truth.craft()
+        self._wandering = truth.acceleration_sigma * rng.standard_normal(6)
+        self._clock = np.array([truth.clock_bias, truth.clock_drift])
+        self._earth_bias = np.full(2, truth.earth_sensor_bias)
+        self._wobble = np.array([truth.wobble, 2 * np.pi / truth.wobble_period])
+
+    def _steady(self) -> Array:
+        return nadir_attitude(self._y[6:9], self._y[9:12])
+
+    def values(self) -> dict[str, Array]:
+        """chaser_position, chaser_velocity in i, relative_position r_tc, relative_velocity
+        v_tc in i, chaser_attitude R_ic, clock_bias, clock_drift, earth_sensor_bias."""
+        y = self._y
+        return {
+            "relative_position": y[6:9] - y[0:3],
+            "relative_velocity": y[9:12] - y[3:6],
+            "chaser_attitude": wobbled(self._steady(), self._wobble, self.t),
+            "chaser_position": y[6:9].copy(),
+            "chaser_velocity": y[9:12].copy(),
+            "clock_bias": self._clock[:1].copy(),
+            "clock_drift": self._clock[1:].copy(),
+            "earth_sensor_bias": self._earth_bias.copy(),
+        }
+
+    def advance(
+        self, t: float, command: Array | None, edges: Mapping[str, Array]
+    ) -> dict[str, Array]:
+        """Fly to time t, s, with a thrust on the chaser (3,), N, in i, held; one that is too
+        long is cut to `max_thrust`.
+
+        Gives the means of w_ci_c, rad/s, for "gyro", and of the specific force in c, m/s^2,
+        for "accelerometer". Raises InputError on other inputs and on a command of another
+        shape.
+        """
+        thrust = np.zeros(3) if command is None else np.array(command, dtype=np.float64)
+        if thrust.shape != (3,) or not np.isfinite(thrust).all():
+            raise InputError(f"powered_orbits: found command {command}, expected 3 numbers, N")
+        truth, h = self._truth, t - self.t
+        size = np.sqrt(thrust @ thrust)
+        if size > truth.max_thrust:
+            thrust *= truth.max_thrust / size
+        pushed_i = thrust / truth.mass + self._wandering[3:]
+        before, t_before = self._steady(), self.t
+        held = np.concatenate([self._wandering[:3], pushed_i])
+        steps = max(1, int(np.ceil(h / truth.max_step * (1 - 1e-9))))
+        self._y = fly_orbits(self._y, held, h / steps, steps)
+        self.t = t
+        self._wander(h)
+        turned = so3.log(np.ascontiguousarray(before.T @ self._steady())) / h
+        found: dict[str, Array] = {}
+        for name, own in edges.items():
+            if name not in ("gyro", "accelerometer"):
+                raise InputError(f"powered_orbits: cannot drive the input {name!r}")
+            if abs(own[0] - t_before) > 1e-6 or abs(own[-1] - t) > 1e-6:
+                raise InputError(f"inputs.{name}: samples do not cover {t_before} s to {t} s")
+            both = sample_attitude(before, turned, self._wobble, own, pushed_i)
+            found[name] = both[0 if name == "gyro" else 1]
+        return found
+
+    def _wander(self, h: float) -> None:
+        """What wanders, h seconds later."""
+        truth, draw = self._truth, self._rng.standard_normal(10)
+        self._wandering = _forget(
+            self._wandering, h, truth.acceleration_time_constant, truth.acceleration_sigma, draw[:6]
+        )
+        self._earth_bias = _forget(
+            *(self._earth_bias, h, truth.earth_sensor_time_constant),
+            *(truth.earth_sensor_sigma, draw[6:8]),
+        )
+        q = truth.frequency_density * np.sqrt(h)
+        bias, drift = self._clock
+        # A random walk's integral: half the step, and a bridge of variance h^2 / 12.
+        mean = drift + q * (0.5 * draw[8] + draw[9] / np.sqrt(12.0))
+        self._clock = np.array([bias + h * mean, drift + q * draw[8]])
+
+
+def _forget(x: Array, h: float, time_constant: float, sigma: float, draw: Array) -> Array:
+    """A Gauss-Markov process h seconds later."""
+    kept = np.exp(-h / time_constant)
+    out: Any = kept * x + sigma * np.sqrt(1 - kept**2) * draw
+    return np.asarray(out)

@@ -1,0 +1,130 @@
+"""Strapdown gyro and accelerometer: what they read, given the true means over each sample.
+
+Their errors are drawn interval by interval (`begin`), so that a pass of any length is never
+held at the rate of its fastest sensor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.errors import InputError
+from relnav_graph.units import Quantity, check_fields
+
+__all__ = ["ErrorSampler", "StrapdownAccelerometer", "StrapdownGyro"]
+
+Array = NDArray[np.float64]
+
+
+def _zeros() -> Array:
+    return np.zeros(3)
+
+
+class ErrorSampler:
+    """The errors of a sensor, one interval after the other.
+
+    white: density of the white noise; sigma, time_constant: of the bias, a Gauss-Markov
+    process. bias: the true one, (3,), at the end of the last interval.
+    """
+
+    def __init__(
+        self,
+        bias: Array,
+        white: float,
+        sigma: float,
+        time_constant: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.bias, self._rng = np.array(bias), rng
+        self._white, self._sigma, self._time_constant = white, sigma, time_constant
+
+    def take(self, edges: Array) -> Array:
+        """Errors (n, 3) of the samples between `edges` (n + 1,), s: the bias in the middle of
+        each, and white noise."""
+        dt = np.diff(edges)
+        white, steps = self._rng.standard_normal((2, len(dt), 3))
+        kept = np.exp(-dt / self._time_constant)
+        steps *= (self._sigma * np.sqrt(1 - kept**2))[:, None]
+        bias = np.empty((len(dt) + 1, 3))
+        bias[0] = self.bias
+        for k in range(len(dt)):
+            bias[k + 1] = kept[k] * bias[k] + steps[k]
+        self.bias = bias[-1]
+        errors: Array = 0.5 * (bias[1:] + bias[:-1]) + (self._white / np.sqrt(dt))[:, None] * white
+        return errors
+
+
+def _edges(kind: str, period: float, t_first: float, t_last: float) -> Array:
+    if not t_last > t_first:
+        raise InputError(f"{kind}: found a pass from {t_first} s to {t_last} s")
+    # The margin keeps rounding from adding a sample of no length.
+    n = int(np.ceil((t_last - t_first) / period * (1 - 1e-9)))
+    return np.append(t_first + period * np.arange(n), t_last)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StrapdownGyro:
+    """A gyro whose bias is a Gauss-Markov process.
+
+    period: between samples, s; angle_random_walk_density: white noise, rad/sqrt(s);
+    bias_sigma: rad/s, of the bias in the long run; bias_time_constant: s; initial_bias: b_c
+    at the start, rad/s. Raises InputError on values of a wrong shape or sign.
+    """
+
+    kind: ClassVar[str] = "strapdown_gyro"
+    #: Blocks whose truth its bias is.
+    measures: ClassVar[tuple[str, ...]] = ("gyro_bias",)
+
+    period: Annotated[float, Quantity("s", positive=True)]
+    angle_random_walk_density: Annotated[float, Quantity("rad/sqrt(s)", nonnegative=True)]
+    bias_sigma: Annotated[float, Quantity("rad/s", nonnegative=True)]
+    bias_time_constant: Annotated[float, Quantity("s", positive=True)]
+    initial_bias: Annotated[Array, Quantity("rad/s", (3,))] = field(default_factory=_zeros)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def edges(self, t_first: float, t_last: float) -> Array:
+        """Edges (n + 1,) of the samples from t_first to t_last, s, `period` apart; the last
+        may be shorter. Raises InputError when t_last is not after t_first."""
+        return _edges(self.kind, self.period, t_first, t_last)
+
+    def begin(self, rng: np.random.Generator) -> ErrorSampler:
+        """Errors from the start of a pass on, rad/s."""
+        own = self.angle_random_walk_density, self.bias_sigma, self.bias_time_constant
+        return ErrorSampler(self.initial_bias, *own, rng)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StrapdownAccelerometer:
+    """An accelerometer whose bias is a Gauss-Markov process.
+
+    period: between samples, s; velocity_random_walk_density: white noise, m/s^1.5;
+    bias_sigma: m/s^2, of the bias in the long run; bias_time_constant: s; initial_bias: b_c
+    at the start, m/s^2. Raises InputError on values of a wrong shape or sign.
+    """
+
+    kind: ClassVar[str] = "strapdown_accelerometer"
+    measures: ClassVar[tuple[str, ...]] = ("accelerometer_bias", "absolute_accelerometer_bias")
+
+    period: Annotated[float, Quantity("s", positive=True)]
+    velocity_random_walk_density: Annotated[float, Quantity("m/s^1.5", nonnegative=True)]
+    bias_sigma: Annotated[float, Quantity("m/s^2", nonnegative=True)]
+    bias_time_constant: Annotated[float, Quantity("s", positive=True)]
+    initial_bias: Annotated[Array, Quantity("m/s^2", (3,))] = field(default_factory=_zeros)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def edges(self, t_first: float, t_last: float) -> Array:
+        """As those of `StrapdownGyro`."""
+        return _edges(self.kind, self.period, t_first, t_last)
+
+    def begin(self, rng: np.random.Generator) -> ErrorSampler:
+        """Errors from the start of a pass on, m/s^2."""
+        own = self.velocity_random_walk_density, self.bias_sigma, self.bias_time_constant
+        return ErrorSampler(self.initial_bias, *own, rng)
