@@ -58,6 +58,8 @@ WIDTH = 7.0
 #: Part of the pass in which a filter may still converge, and how far limits then follow
 #: excursions, in usual sizes (medians).
 _TRANSIENT, _EXCURSION = 0.1, 6.0
+#: Epochs above which a band is an image in an SVG: as a path it takes megabytes.
+MANY = 5000
 
 
 def row_styles(rows: Mapping[str, Kind]) -> dict[str, dict[str, Any]]:
@@ -141,7 +143,8 @@ def _draw_errors(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
     for line in lines:
         band, thin = 3 * line.sigma[:, axis], {**line.style, "linewidth": 0.5, "zorder": 2}
         shade = 0.26 / max(2, len(lines))  # many bands must not add up to mud
-        ax.fill_between(line.t, -band, band, color=thin["color"], alpha=shade, linewidth=0)
+        filled = ax.fill_between(line.t, -band, band, color=thin["color"], alpha=shade, linewidth=0)
+        filled.set_rasterized(len(line.t) > MANY)
         ax.plot(line.t, np.column_stack([-band, band]), **thin)
         if line.e is not None:
             ax.plot(line.t, line.e[:, axis], **line.style)
@@ -168,7 +171,9 @@ def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
             continue
         for line in lines:
             ax.semilogy(line.t, line.sigma[:, axis], **line.style)
-    what = "error (truth − estimate)" if known else "1-sigma uncertainty"
+    aimed = block in lines[0].track.controlled
+    known_as = "error (truth − aim)" if aimed else "error (truth − estimate)"
+    what = known_as if known else "1-sigma uncertainty"
     where = "about the axes of" if block.manifold == "SO3" else "in"
     title = f"{state.replace('_', ' ').capitalize()} {symbol(block)}: {what}"
     panels[0].set_title(f"{title}, {where} frame {block.frame[-1:]}", loc="left")
