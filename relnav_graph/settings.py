@@ -315,7 +315,7 @@ def json_schema() -> dict[str, Any]:
     for section, group, contract, general in (
         ("processes", models.ENTRY_POINTS, "advances", {}),
         ("sensors", models.ENTRY_POINTS, "observables", options),
-        ("inputs", sim.GROUP, "sample", {}),
+        ("inputs", sim.GROUP, "edges", {}),
     ):
         choices = []
         for kind, cls in classes(group).items():
