@@ -1,49 +1,38 @@
-"""Compilation of numeric kernels with numba, and a disk cache that cannot go stale.
+"""Kernels: compiled functions of one signature per contract, and the loops that call them.
 
 A *kernel* is the one place where a model's formula stands. Each contract has one
 fixed signature, so that the generic loops call kernels by their address and are
 themselves compiled once, whatever models a problem uses.
-
-numba's own disk cache looks only at the file of the cached function: a change in a
-callee, or in a constant, that lives in another file goes unseen. Here the cache folder
-bears a digest of the sources that the code may depend on: this package's lower floors and
-all of the kernel's own package. A change in any of them gives a new folder.
 """
 
 from __future__ import annotations
 
-import hashlib
-import logging
-import os
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, wraps
-from pathlib import Path
 from typing import Any, TypeVar
 
-import numba
 from numba import types
 from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.experimental.function_type import _get_jit_address
 from numba.extending import intrinsic
 
+from relnav_graph.compilation import compile_ahead, compiled_once
 from relnav_graph.errors import ModelError
 
 __all__ = [
     "DYNAMICS_KERNEL",
     "SENSOR_KERNEL",
     "announce",
-    "cache_folder",
     "dynamics_address",
     "dynamics_at",
     "jit",
     "jit_as",
+    "prepare",
     "sensor_address",
     "sensor_at",
 ]
 
-_LOG = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 VECTOR = types.Array(types.float64, 1, "C")
@@ -68,65 +57,6 @@ SENSOR_KERNEL = types.int64(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
 DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX)
 
 
-#: Modules of this package that compiled code may call or take constants from.
-_LOWER_FLOORS = (
-    *("backward", "compiled", "constants", "filtering", "loops"),
-    *("matrices", "orbit", "robust", "so3", "state", "sweep", "updating"),
-)
-
-
-@cache
-def _digest(folder: Path) -> str:
-    """Digest of the sources that machine code of a file in `folder` may depend on: the
-    whole package that it is in; only its own folder for a loose file."""
-    top, loose = folder, not (folder / "__init__.py").is_file()
-    while (top.parent / "__init__.py").is_file():
-        top = top.parent
-    if top == Path(__file__).parent:
-        own = [] if folder == top else list(folder.glob("*.py"))
-        paths = [top / f"{name}.py" for name in _LOWER_FLOORS] + own
-    else:
-        paths = list(top.glob("*.py") if loose else top.rglob("*.py"))
-    sha = hashlib.sha256()
-    for path in sorted(paths):
-        sha.update(path.name.encode() + b"\0" + path.read_bytes())
-    return sha.hexdigest()
-
-
-def cache_folder(source: str) -> Path:
-    """Where the compiled code of the source file `source` is kept.
-
-    ``RELNAV_CACHE_DIR``, else ``XDG_CACHE_HOME``, else ``~/.cache``; below it a folder
-    named after everything that the machine code depends on.
-    """
-    root = os.environ.get("RELNAV_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
-    base = Path(root) if root else Path.home() / ".cache"
-    folders = {Path(__file__).parent, Path(source).resolve().parent}
-    key = "".join(_digest(folder) for folder in sorted(folders))
-    key += f"{numba.__version__} {sys.version_info[:2]}"
-    return base / "relnav_graph" / hashlib.sha256(key.encode()).hexdigest()[:16]
-
-
-def _compile(function: F, *signature: Any, **options: bool) -> F:
-    options["error_model"] = "numpy"  # type: ignore[assignment]
-    configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
-    numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
-    try:
-        compiled = numba.njit(*signature, cache=True, **options)(function)
-    except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
-        compiled = numba.njit(*signature, **options)(function)
-    finally:
-        numba.config.CACHE_DIR = configured
-    template = compiled.get_call_template
-
-    def of_types(arguments: Any, keywords: Any) -> Any:
-        # A 0 is an integer: numba would compile the function again for each literal.
-        return template([types.unliteral(a) for a in arguments], keywords)
-
-    compiled.get_call_template = of_types
-    return compiled  # type: ignore[no-any-return]
-
-
 def jit(function: F) -> F:
     """Compile `function` at its first call; for kernels and for what they call.
 
@@ -134,20 +64,8 @@ def jit(function: F) -> F:
     a tenth of the time that all compilation takes.
     """
     if function.__name__.startswith("_"):
-        return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-    return _compile(function)
-
-
-@cache
-def _announce(folder: Path) -> None:
-    if next(folder.rglob("*.nbi"), None) is None:  # numba makes the folder at import
-        _LOG.info("compiling the models, once; later runs take them from %s", folder)
-
-
-def announce(kernel: Any) -> None:
-    """Say, once, when a kernel will be compiled for the first time: that takes a while."""
-    if hasattr(kernel, "py_func"):
-        _announce(cache_folder(kernel.py_func.__code__.co_filename))
+        return compiled_once(function, no_cpython_wrapper=True)
+    return compiled_once(function)
 
 
 def _address(kernel: Any, signature: Any) -> int:
@@ -197,6 +115,10 @@ sensor_at = _function_at(types.FunctionType(SENSOR_KERNEL))
 dynamics_at = _function_at(types.FunctionType(DYNAMICS_KERNEL))
 
 
+#: The loops of `jit_as` in the modules imported so far, "module:name".
+_LOOPS: list[str] = []
+
+
 def jit_as(*arguments: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Compile at the first call, for exactly these numba argument types, returning nothing.
 
@@ -208,13 +130,31 @@ def jit_as(*arguments: Any) -> Callable[[Callable[..., None]], Callable[..., Non
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         @cache
         def entry() -> Any:
-            (compiled,) = _compile(function, types.void(*arguments)).overloads.values()  # type: ignore[attr-defined]
-            return compiled.entry_point
+            return compiled_once(function).compile(types.void(*arguments))  # type: ignore[attr-defined]
 
         @wraps(function)
         def call(*values: Any) -> None:
             entry()(*values)
 
+        call.prepare = entry  # type: ignore[attr-defined]
+        _LOOPS.append(f"{function.__module__}:{function.__qualname__}")
         return call
 
     return decorate
+
+
+def prepare(loop: Any) -> None:
+    """Compile a loop of `jit_as` before it is called."""
+    loop.prepare()
+
+
+def announce(sensors: Iterable[Any], processes: Iterable[Any]) -> None:
+    """Say, once, when these kernels will be compiled for the first time, and have other cores
+    help with them and with the loops."""
+    kernels = [(k, "dynamics_address") for k in processes] + [
+        (k, "sensor_address") for k in sensors
+    ]
+    known = [(k.py_func, compiler) for k, compiler in kernels if hasattr(k, "py_func")]
+    tasks = [f"{f.__module__}:{f.__name__}/{compiler}" for f, compiler in known]
+    tasks += [f"{loop}/prepare" for loop in _LOOPS]
+    compile_ahead(tasks, (f.__code__.co_filename for f, _ in known))

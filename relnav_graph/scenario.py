@@ -284,8 +284,10 @@ def make_scenario(
         _check_inputs(made["processes"], file, inputs, problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
-    for model in [*made["processes"].values(), *made["sensors"].values()]:
-        announce(model.kernel)
+    announce(
+        [model.kernel for model in made["sensors"].values()],
+        [model.kernel for model in made["processes"].values()],
+    )
     return Scenario(
         *(name, file, merged, made["processes"], made["sensors"], options),
         *(truth, inputs, layout, control),

@@ -1,0 +1,224 @@
+"""Machine code with numba: compiled once, called from everywhere, kept on disk.
+
+numba copies the code of a compiled function into every function that calls it, and optimises
+and generates it there anew: most of the time that it takes. Here each function is generated
+once, and its callers call it by a symbol. Helpers compile beside the program on other cores;
+a lock for each function keeps two from doing the same.
+
+numba's own disk cache looks only at the file of the cached function: a change in a
+callee, or in a constant, that lives in another file goes unseen. Here the cache folder
+bears a digest of the sources that the code may depend on: this package's lower floors and
+all of the function's own package. A change in any of them gives a new folder.
+"""
+
+from __future__ import annotations
+
+import atexit
+import fcntl
+import hashlib
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from copy import copy
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeVar
+
+import llvmlite.binding
+import numba
+from numba import types
+from numba.core import sigutils
+from numba.core.compiler_lock import global_compiler_lock
+
+__all__ = ["cache_folder", "compile_ahead", "compiled_once"]
+
+_LOG = logging.getLogger(__name__)
+F = TypeVar("F", bound=Callable[..., Any])
+
+#: Modules of this package that compiled code may call or take constants from.
+_LOWER_FLOORS = (
+    *("backward", "compilation", "compiled", "constants", "filtering", "loops"),
+    *("matrices", "orbit", "robust", "so3", "state", "sweep", "updating"),
+)
+
+
+@cache
+def _digest(folder: Path) -> str:
+    """Digest of the sources that machine code of a file in `folder` may depend on: the
+    whole package that it is in; only its own folder for a loose file."""
+    top, loose = folder, not (folder / "__init__.py").is_file()
+    while (top.parent / "__init__.py").is_file():
+        top = top.parent
+    if top == Path(__file__).parent:
+        own = [] if folder == top else list(folder.glob("*.py"))
+        paths = [top / f"{name}.py" for name in _LOWER_FLOORS] + own
+    else:
+        paths = list(top.glob("*.py") if loose else top.rglob("*.py"))
+    sha = hashlib.sha256()
+    for path in sorted(paths):
+        sha.update(path.name.encode() + b"\0" + path.read_bytes())
+    return sha.hexdigest()
+
+
+def cache_folder(source: str) -> Path:
+    """Where the compiled code of the source file `source` is kept.
+
+    ``RELNAV_CACHE_DIR``, else ``XDG_CACHE_HOME``, else ``~/.cache``; below it a folder
+    named after everything that the machine code depends on.
+    """
+    root = os.environ.get("RELNAV_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    base = Path(root) if root else Path.home() / ".cache"
+    folders = {Path(__file__).parent, Path(source).resolve().parent}
+    key = "".join(_digest(folder) for folder in sorted(folders))
+    key += f"{numba.__version__} {sys.version_info[:2]}"
+    return base / "relnav_graph" / hashlib.sha256(key.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class _Callee:
+    """A compiled function that others call, for these types of arguments."""
+
+    module: str
+    name: str
+    arguments: tuple[Any, ...]
+
+    def __call__(self) -> None:
+        """Load it: called before code that calls it is loaded from the cache."""
+        getattr(import_module(self.module), self.name).compile(self.arguments)
+
+
+#: What the functions that are being compiled call, innermost last.
+_CALLED: list[set[_Callee]] = []
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Alone with a file among all processes; without one where it cannot be written."""
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+        return
+    yield
+
+
+def _call_by_symbol(compiled: Any) -> None:
+    """Have compiled callers call the one copy of a function's machine code.
+
+    Its address is known to the linker of a process under a symbol, which the callers' code
+    bears, in the cache as well. Cached code says what it needs to be loaded before it.
+    """
+    function = compiled.py_func
+    build, compile_ = compiled._compiler.compile, compiled.compile
+    folder = cache_folder(function.__code__.co_filename)
+    symbols: dict[tuple[Any, ...], str] = {}
+
+    def build_and_note(arguments: Any, return_type: Any) -> Any:
+        _CALLED.append(set())
+        try:
+            result = build(arguments, return_type)
+        finally:
+            called = _CALLED.pop()
+        result.reload_init.extend(sorted(called - set(result.reload_init), key=repr))
+        return result
+
+    def compile_and_publish(signature: Any) -> Any:
+        arguments = tuple(sigutils.normalize_signature(signature)[0])
+        if arguments in symbols:
+            return compiled.overloads[arguments].entry_point
+        text = f"{function.__module__}.{function.__qualname__}{arguments} {folder.name}"
+        symbol = "relnav_" + hashlib.sha256(text.encode()).hexdigest()
+        with global_compiler_lock, _locked(folder / f"{symbol}.lock"):
+            entry = compile_(signature)
+        result = compiled.overloads[arguments]
+        result.library._reload_init.update(result.reload_init)  # for those who link it
+        described = copy(result.fndesc)
+        described.mangled_name = symbol
+        address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+        llvmlite.binding.add_symbol(symbol, address)
+        compiled.targetctx.insert_user_function(symbol, described)
+        symbols[arguments] = symbol
+        return entry
+
+    def symbol_of(signature: Any) -> str:
+        arguments = tuple(sigutils.normalize_signature(signature)[0])
+        if _CALLED:
+            _CALLED[-1].add(_Callee(function.__module__, function.__name__, arguments))
+        return symbols[arguments]
+
+    compiled._compiler.compile = build_and_note
+    compiled.compile = compile_and_publish
+    compiled.get_overload = symbol_of
+
+
+def compiled_once(function: F, **options: bool) -> F:
+    """A function that numba compiles when it is first called, and keeps on disk."""
+    options |= {"error_model": "numpy", "no_cfunc_wrapper": True}  # type: ignore[dict-item]
+    configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
+    numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
+        compiled = numba.njit(**options)(function)
+    finally:
+        numba.config.CACHE_DIR = configured
+    template = compiled.get_call_template
+
+    def of_types(arguments: Any, keywords: Any) -> Any:
+        # A 0 is an integer: numba would compile the function again for each literal.
+        return template([types.unliteral(a) for a in arguments], keywords)
+
+    compiled.get_call_template = of_types
+    if "<locals>" not in function.__qualname__:  # else no import finds it again
+        _call_by_symbol(compiled)
+    return compiled  # type: ignore[no-any-return]
+
+
+#: What helpers run: make each of some things by calling a function of a module.
+_HELPER = """
+import sys
+from importlib import import_module
+for task in sys.argv[1:]:
+    module, _, name = task.partition(":")
+    name, _, compiler = name.partition("/")
+    thing = getattr(import_module(module), name)
+    getattr(import_module("relnav_graph.compiled"), compiler)(thing)
+"""
+
+
+@cache
+def _empty(folder: Path) -> bool:
+    """Whether nothing has been compiled into a cache folder; told once to a process."""
+    return next(folder.rglob("*.nbi"), None) is None  # numba makes the folder at import
+
+
+def compile_ahead(tasks: Iterable[str], sources: Iterable[str]) -> None:
+    """Say so, and start helpers on the other cores, when `sources` were never compiled.
+
+    tasks: "module:name/compiler", in the order in which this process will want them. Each
+    helper begins elsewhere in that order, the first one at its end; what they have not done
+    when this process ends is left.
+    """
+    folders = [folder for folder in map(cache_folder, sources) if _empty(folder)]
+    if not folders:
+        return
+    _LOG.info("compiling the models, once; later runs take them from %s", folders[0])
+    backwards = list(tasks)[::-1]
+    helpers = max(0, min(3, (os.cpu_count() or 1) - 1))
+    for i in range(helpers):
+        start = i * len(backwards) // helpers
+        mine = backwards[start:] + backwards[:start]
+        helper = subprocess.Popen(
+            [sys.executable, "-c", _HELPER, *mine],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        atexit.register(helper.kill)

@@ -1,0 +1,101 @@
+"""Machine code is generated once, kept on disk, and shared by processes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+#: Prints what f(9) gives, then the functions that were compiled for it.
+PROGRAM = """
+from numba.core import event
+compiled = []
+class Listener(event.Listener):
+    def on_start(self, found):
+        compiled.append(found.data["dispatcher"].py_func.__name__)
+    def on_end(self, found):
+        pass
+event.register("numba:compile", Listener())
+from outsider.upper import f
+print(f(9.0), *compiled)
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """f calls g and root, g calls root; root fails below zero."""
+    folder = tmp_path / "outsider"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "lower.py").write_text(
+        "from relnav_graph.compiled import jit\n"
+        "@jit\ndef root(x):\n"
+        "    if x < 0.0:\n        raise ValueError('below zero')\n"
+        "    return x ** 0.5\n"
+        "@jit\ndef g(x):\n    return 2.0 * root(x)\n"
+    )
+    (folder / "upper.py").write_text(
+        "from relnav_graph.compiled import jit\nfrom outsider.lower import g, root\n"
+        "@jit\ndef f(x):\n    return g(x) + root(x)\n"
+    )
+    return tmp_path
+
+
+def start(package: Path, program: str) -> subprocess.Popen[str]:
+    """A process that shares its cache with the others of a package."""
+    where = {"RELNAV_CACHE_DIR": str(package / "cache"), "PYTHONPATH": str(package)}
+    return subprocess.Popen(
+        [sys.executable, "-c", program],
+        env={**os.environ, **where},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def result(process: subprocess.Popen[str]) -> list[str]:
+    """The words that it printed."""
+    out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0
+    return out.split()
+
+
+def test_the_next_process_compiles_nothing(package: Path) -> None:
+    value, *compiled = result(start(package, PROGRAM))
+    assert (float(value), sorted(compiled)) == (9.0, ["f", "g", "root"])
+    assert result(start(package, PROGRAM)) == ["9.0"]
+
+
+def test_processes_at_once_compile_each_function_once(package: Path) -> None:
+    found = [result(process) for process in [start(package, PROGRAM) for _ in range(3)]]
+    assert {value for value, *_ in found} == {"9.0"}
+    assert Counter(name for _, *names in found for name in names) == {"f": 1, "g": 1, "root": 1}
+
+
+def test_callers_hold_no_copy_of_what_they_call(package: Path) -> None:
+    program = (
+        "from outsider.upper import f; from outsider.lower import root\n"
+        "f(9.0)\n"
+        "code = lambda function: next(iter(function.overloads.values()))\n"
+        "name = code(root).fndesc.mangled_name\n"
+        "print(name in code(root).library.get_llvm_str(), name in code(f).library.get_llvm_str())"
+    )
+    assert result(start(package, program)) == ["True", "False"]
+
+
+def test_an_error_comes_through_all_callers(package: Path) -> None:
+    program = (
+        "from outsider.upper import f\n"
+        "try:\n    f(-1.0)\nexcept ValueError as error:\n    print(*error.args)"
+    )
+    assert result(start(package, program)) == ["below", "zero"]
+    assert result(start(package, program)) == ["below", "zero"]  # now from the cache
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(package: Path) -> None:
+    (package / "cache").write_text("a file, no folder")
+    value, *_ = result(start(package, PROGRAM))
+    assert float(value) == 9.0
