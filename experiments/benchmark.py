@@ -4,7 +4,8 @@ Ratios are medians of pairs taken in turn; a row counts only when its solver cam
 optimum, to 1e-6 of a sigma (FilterPy's and our filter's rows do not claim to).
 
 Run it: ``python experiments/benchmark.py [--quick] [--json] [-o FIGURE]``, with the extra
-`benchmark` installed. --quick leaves out the million epochs and the general solvers.
+`benchmark` installed. --quick leaves out the million epochs, `fixed_lag` and the general
+solvers.
 """
 
 from __future__ import annotations
@@ -82,15 +83,24 @@ def measure_isam2(problem: Any, length: int, at: int) -> tuple[dict[str, Any], A
     return rows, took
 
 
-def draw(path: Path, per_epoch: dict[int, float], took: Any) -> None:
-    """Cost against length, both axes logarithmic."""
+def measure_fixed_lag(problem: Any) -> tuple[dict[str, float], Any]:
+    """The rows of fixed_lag, and the time of each step."""
+    took = online.run_fixed_lag(problem)
+    rows = {"growth": online.growth(took), "p99_over_median": online.tail(took)}
+    say(f"fixed_lag, {len(took)} epochs: {1e3 * np.median(took):.2f} ms per step; {rows}")
+    return rows, took
+
+
+def draw(path: Path, per_epoch: dict[int, float], steps: dict[str, Any]) -> None:
+    """Cost against length, both axes logarithmic. steps: times of each step by estimator."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4.5))
     axes = figure.subplots()
-    epochs = range(10, len(took), 10)
-    steps = [1e6 * online.around(took, k) for k in epochs]
-    axes.loglog(epochs, steps, label="isam2, one step")
+    for name, took in steps.items():
+        epochs = range(10, len(took), 10)
+        around = [1e6 * online.around(took, k) for k in epochs]
+        axes.loglog(epochs, around, label=f"{name}, one step")
     axes.loglog(
         list(per_epoch), [1e6 * t for t in per_epoch.values()], "o-", label="batch, one iteration"
     )
@@ -116,15 +126,19 @@ def main(
         problem = problem_of(max(*lengths, steps, lm, naive + 20))
         rows, per_epoch = measure_batch(problem, lengths, lm, quick)
         isam2, took = measure_isam2(problem, steps, naive)
+        fixed_lag: dict[str, Any] = {"growth": None, "p99_over_median": None}
+        each = {"isam2": took}
+        if not quick:
+            fixed_lag, each["fixed_lag"] = measure_fixed_lag(first(problem, steps))
         say(f"studies: {start.studies_per_second(min(600, lm)):.2f} runs per second and worker")
         first_compile, warm = start.compare_times() if cold else (None, None)
         say(f"relnav compare: compiles for {first_compile} s once; then {warm} s in all")
     if figure is not None:
-        draw(figure, per_epoch, took)
+        draw(figure, per_epoch, each)
     return {
         "batch": rows,
         "isam2": isam2,
-        "fixed_lag": {"growth": None, "p99_over_median": None},
+        "fixed_lag": fixed_lag,
         "start": {"help_s": start.help_time(), "first_compile_s": first_compile},
     }
 

@@ -108,7 +108,7 @@ def _locked(path: Path) -> Iterator[None]:
     yield
 
 
-def _call_by_symbol(compiled: Any) -> None:
+def _call_by_symbol(compiled: Any, vectorize: bool) -> None:
     """Have compiled callers call the one copy of a function's machine code.
 
     Its address is known to the linker of a process under a symbol, which the callers' code
@@ -121,9 +121,12 @@ def _call_by_symbol(compiled: Any) -> None:
 
     def build_and_note(arguments: Any, return_type: Any) -> Any:
         _CALLED.append(set())
+        configured = numba.config.LOOP_VECTORIZE  # numba has it for all functions only
+        numba.config.LOOP_VECTORIZE = int(vectorize)
         try:
             result = build(arguments, return_type)
         finally:
+            numba.config.LOOP_VECTORIZE = configured
             called = _CALLED.pop()
         result.reload_init.extend(sorted(called - set(result.reload_init), key=repr))
         return result
@@ -157,8 +160,11 @@ def _call_by_symbol(compiled: Any) -> None:
     compiled.get_overload = symbol_of
 
 
-def compiled_once(function: F, **options: bool) -> F:
-    """A function that numba compiles when it is first called, and keeps on disk."""
+def compiled_once(function: F, vectorize: bool = False, **options: bool) -> F:
+    """A function that numba compiles when it is first called, and keeps on disk.
+
+    vectorize: its loops, which takes long and only helps the long ones.
+    """
     options |= {"error_model": "numpy", "no_cfunc_wrapper": True}  # type: ignore[dict-item]
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
@@ -176,7 +182,7 @@ def compiled_once(function: F, **options: bool) -> F:
 
     compiled.get_call_template = of_types
     if "<locals>" not in function.__qualname__:  # else no import finds it again
-        _call_by_symbol(compiled)
+        _call_by_symbol(compiled, vectorize)
     return compiled  # type: ignore[no-any-return]
 
 

@@ -28,6 +28,7 @@ __all__ = [
     "dynamics_at",
     "jit",
     "jit_as",
+    "jit_vector",
     "prepare",
     "sensor_address",
     "sensor_at",
@@ -63,9 +64,12 @@ def jit(function: F) -> F:
     A private one can be called from compiled code only: its wrappers for Python would take
     a tenth of the time that all compilation takes.
     """
-    if function.__name__.startswith("_"):
-        return compiled_once(function, no_cpython_wrapper=True)
-    return compiled_once(function)
+    return compiled_once(function, no_cpython_wrapper=function.__name__.startswith("_"))
+
+
+def jit_vector(function: F) -> F:
+    """:func:`jit` with loops over vectors, for long rows."""
+    return compiled_once(function, vectorize=True)
 
 
 def _address(kernel: Any, signature: Any) -> int:

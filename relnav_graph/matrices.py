@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import jit, jit_vector
 
 __all__ = [
     "cholesky",
@@ -28,7 +28,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
-@jit
+@jit_vector
 def product(a: Array, b: Array, out: Array) -> None:
     """``out = a b``."""
     for i in range(a.shape[0]):
@@ -62,7 +62,7 @@ def symmetrize(P: Array) -> None:
             P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
 
 
-@jit
+@jit_vector
 def cholesky(a: Array) -> bool:
     """Replace a symmetric matrix by its lower Cholesky factor; False unless it is positive
     definite."""
@@ -83,7 +83,7 @@ def cholesky(a: Array) -> bool:
     return True
 
 
-@jit
+@jit_vector
 def solve_lower(L: Array, b: Array) -> None:
     """``b = L^-1 b`` for a lower triangular L."""
     for i in range(L.shape[0]):
@@ -97,7 +97,7 @@ def solve_lower(L: Array, b: Array) -> None:
             b[i, j] *= f
 
 
-@jit
+@jit_vector
 def solve_lower_transposed(L: Array, b: Array) -> None:
     """``b = L^-T b`` for a lower triangular L."""
     for i in range(L.shape[0] - 1, -1, -1):
@@ -111,7 +111,7 @@ def solve_lower_transposed(L: Array, b: Array) -> None:
                     b[l, j] -= f * b[i, j]
 
 
-@jit
+@jit_vector
 def inverse_upper(R: Array) -> Array:
     """Inverse of an upper triangular matrix."""
     n = R.shape[0]
@@ -127,7 +127,7 @@ def inverse_upper(R: Array) -> Array:
     return out
 
 
-@jit
+@jit_vector
 def householder(a: Array, columns: int, below: int, rows: int, width: int) -> None:
     """Triangularise the first columns of ``a[:rows, :width]`` by reflections, in place.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import gtsam
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.estimators.isam2 import IncrementalSmoother
+from relnav_graph.estimators.online import online
 from relnav_graph.problem import Problem
 
 from .batch import key_of, typed_factors, typed_values
@@ -28,6 +30,23 @@ def run_isam2(problem: Problem) -> tuple[Array, Array]:
         smoother.step(epoch, assembly.at(k))
         took[k] = time.perf_counter() - begun
     return took, smoother.x
+
+
+def run_fixed_lag(problem: Problem) -> Array:
+    """Time of each step of `fixed_lag`, with its window of 30 epochs, s."""
+    one = online("fixed_lag", replace(problem, epochs=()))
+    took = np.empty(len(problem.epochs))
+    for k, epoch in enumerate(problem.epochs):
+        begun = time.perf_counter()
+        one.step(epoch)
+        took[k] = time.perf_counter() - begun
+    return took
+
+
+def tail(took: Array) -> float:
+    """The slowest hundredth of the last half's steps, in units of their median."""
+    late = took[len(took) // 2 :]
+    return float(np.percentile(late, 99) / np.median(late))
 
 
 def around(took: Array, epoch: int) -> float:
