@@ -54,10 +54,13 @@ def measure_batch(problem: Any, lengths: tuple[int, ...], lm: int, quick: bool) 
     say(f"batch, {lm} epochs: faster than GTSAM's optimiser by {faster['gtsam_lm']}")
     if not quick:
         p = pass_of(first(problem, min(lm, 300)))
-        faster["scipy_least_squares"] = others.faster_than_scipy(p)
-        faster["pyceres"] = others.faster_than_pyceres(p)
-        faster["filterpy_rts"], far = others.faster_than_filterpy(p)
-        say(f"FilterPy's filter is up to {far:.2g} sigma from the optimum")
+        for name, compare in (
+            ("scipy_least_squares", others.faster_than_scipy),
+            ("pyceres", others.faster_than_pyceres),
+            ("filterpy_rts", others.faster_than_filterpy),
+        ):
+            faster[name], far = compare(p)
+            say(f"{name} ends {far:.2g} sigma from the optimum")
         say(f"batch, {len(p.start)} epochs: faster than others by {faster}")
     rows = {
         "floor_ratio": floors[sorted(lengths)[len(lengths) // 2]],
