@@ -13,6 +13,7 @@ from toy_model import DriftingRange, PositionFix, ThermalDrift
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.cli import main
+from relnav_graph.loop import Flown
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Prior, Problem, make_epochs
 from relnav_graph.state import Layout
@@ -118,3 +119,9 @@ def relnav(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int,
     assert isinstance(stopped.value.code, int)
     out, err = capsys.readouterr()
     return stopped.value.code, out, err
+
+
+def truth_of(flown: Flown) -> Truth:
+    """Of a pass that was flown."""
+    assert flown.track.truth is not None
+    return flown.track.truth

@@ -15,15 +15,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
-from examples import (
-    EXAMPLES,
-    REGIMES,
-    DerivedExample,
-    DynamicsExample,
-    SensorExample,
-    draw_block,
-    scale_of,
-)
+from draws import REGIMES, draw_block, scale_of
+from examples import EXAMPLES, DerivedExample, DynamicsExample, SensorExample
 from numeric import assert_jacobian, blocks_of, differences, steps_for
 from numpy.typing import NDArray
 from scipy.special import chdtri

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import REGIMES, draw_block, scale_of
+from draws import REGIMES, draw_block, scale_of
 from numeric import assert_jacobian, blocks_of, differences, steps_for
 from numpy.typing import NDArray
 from test_conformance import DYNAMICS, seed_of, sizes, states_of

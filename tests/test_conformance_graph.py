@@ -15,7 +15,8 @@ from typing import Any
 import gtsam
 import numpy as np
 import pytest
-from examples import BEACONS, MOUNTED, REGIMES
+from draws import REGIMES
+from examples import BEACONS, MOUNTED
 from numeric import assert_jacobian, differences, steps_for
 from numpy.typing import NDArray
 from test_conformance import DYNAMICS, SENSORS, looks, seed_of, sizes
