@@ -180,7 +180,7 @@ def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels()
     handles: list[Any] = [Line2D([], [], **line.style) for line in lines]
-    if known:
+    if known and not aimed:  # a control error has no sigma
         handles.append(Patch(facecolor="0.85", edgecolor="0.5", linewidth=0.5, label="±3 sigma"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure

@@ -56,6 +56,15 @@ def test_a_panel_per_axis_with_units_and_frames() -> None:
     ]
 
 
+def test_a_control_error_has_no_sigma() -> None:
+    (track, _), truth = tracks()
+    block = replace(TARGET_ATTITUDE, name="control_attitude")
+    truth = replace(truth, values={**truth.values, block.name: truth.values["target_attitude"]})
+    figures = error_figures([replace(track, controlled=(block,))], truth, [])
+    assert legend(figures["control_attitude"]) == ["ekf (filtered)"]
+    assert "truth − aim" in figures["control_attitude"].axes[0].get_title("left")
+
+
 def test_drawn_are_errors_and_three_sigma_in_table_units() -> None:
     pair, truth = tracks()
     ax = error_figures(pair[:1], truth, [])["relative_position"].axes[0]
