@@ -58,7 +58,8 @@ def pass_of(problem: Problem) -> Pass:
     done = filter_pass(problem, ITERATIONS)
     start, weights = smooth(done, covariances=False)[0], done.weights
     assembly = done.assembly
-    found = solve(assembly, problem.prior, start, weights, tolerance=1e-8)
+    tolerance = 1e-8 * np.sqrt(len(start))  # of the step's length over all epochs together
+    found = solve(assembly, problem.prior, start, weights, tolerance=tolerance)
     sigma = np.sqrt(np.einsum("kii->ki", found.conditionals.covariances()))
     return Pass(problem, assembly, start, weights, found, sigma)
 
