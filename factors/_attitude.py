@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
-from relnav_graph.models import Measurement, SensorModel
-from relnav_graph.state import check_rotation
+from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
+
+from ._mounting import MountedSensor
 
 Array = NDArray[np.float64]
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
@@ -51,7 +52,7 @@ def turned(q_wxyz: Array, e: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AttitudeSensor(SensorModel):
+class AttitudeSensor(MountedSensor):
     """What the sensors of attitude share: z is q_wxyz, Hamilton, scalar first.
 
     sigma: rad, about each axis of the measured attitude's right-hand frame, one for all or
@@ -63,16 +64,6 @@ class AttitudeSensor(SensorModel):
     rows: ClassVar[int] = 3
 
     sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
-    sensor_attitude: Annotated[Array, Quantity("1", (3, 3))] = field(
-        default_factory=lambda: np.eye(3)
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_rotation(f"{self.kind}.sensor_attitude", self.sensor_attitude)
-
-    def constants(self) -> Array:
-        return self.sensor_attitude.ravel()
 
     def accept(self, z: Array) -> Array:
         """Unit quaternions (k, 4). Raises InputError when one is not, within 1e-3."""

@@ -2,42 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
+from relnav_graph.models import DynamicsModel
 from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, Block
+from relnav_graph.units import Quantity
 
-from ._gravity import FIELD, orbit_step
-from ._strapdown import velocity_gained
-from ._white_noise import add_integrated_white_noise, step_count
+from ._gravity import FIELD, Degree, coast, earth_field
+from ._strapdown import LARGEST_TURN, STRAPDOWN_INPUTS, condense, velocity_gained
 from .accelerometer_bias import Navigation, bias_block
 
 Array = NDArray[np.float64]
 # Columns of the sensitivities after those of the orbits: R_ic, gyro bias, accelerometer bias.
 ATTITUDE, GYRO, FORCE, OTHERS = 0, 3, 6, 9
-
-
-def driven_by(navigation: Navigation) -> tuple[Block, ...]:
-    """The blocks that such an orbit reads, in the order of `drive`."""
-    return CHASER_ATTITUDE, GYRO_BIAS, bias_block(navigation)
-
-
-@jit
-def _drift(p: Array, y: Array, S: Array, Q: Array, dt: float) -> tuple[Array, Array, Array]:
-    """State, sensitivity and noise of the first craft after dt seconds of gravity alone."""
-    steps = step_count(dt, p[FIELD + 1])
-    own = np.empty((6, 6))
-    for _ in range(steps):
-        y, step = orbit_step(p, y, dt / steps)
-        for i in range(6):
-            for j in range(6):
-                own[i, j] = step[i, j]
-        Q = so3.propagate_covariance(own, Q)
-        add_integrated_white_noise(Q, 0, p[FIELD] ** 2, dt / steps)
-        S = so3.multiply(step, S)
-    return y, S, Q
 
 
 @jit
@@ -60,7 +44,7 @@ def drive(
     turn, kick = np.empty(3), np.empty((3, 9))
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        y, S, Q = _drift(p, y, S, Q, dt)
+        y, S, Q = coast(p, y, S, Q, dt, p[FIELD + 1], 0.0, p[FIELD])
         dv, by_R, by_g, by_f, R_ic = velocity_gained(R_ic, u[row], b_g, b_f)
         so3.put(kick, 0, ATTITUDE, so3.multiply(by_R, to_R), 1.0)
         so3.put(kick, 0, GYRO, so3.add(by_g, so3.multiply(by_R, to_g), 1.0), 1.0)
@@ -78,3 +62,37 @@ def drive(
         to_R = so3.multiply(back, to_R)
         to_g = so3.add(so3.multiply(back, to_g), so3.right_jacobian(turn), -dt)
     return y, S, Q
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrivenOrbit(DynamicsModel):
+    """What the orbits share whose own acceleration an accelerometer measures.
+
+    Samples are taken together, so that an epoch costs the same at any rate of the
+    accelerometer.
+
+    velocity_random_walk_density: m/s^1.5, white noise of the accelerometer, per axis; degree:
+    of the highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step;
+    navigation: which estimate of the accelerometer's bias it takes.
+    """
+
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]] = STRAPDOWN_INPUTS
+    noises: ClassVar[tuple[str, ...]] = ("velocity_random_walk_density",) * 2
+
+    velocity_random_walk_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    degree: Degree
+    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+    navigation: Navigation
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        """In the order of `drive`."""
+        return CHASER_ATTITUDE, GYRO_BIAS, bias_block(self.navigation)
+
+    def constants(self) -> Array:
+        own = [self.velocity_random_walk_density, self.max_step]
+        return np.concatenate([earth_field(self.degree), own])
+
+    def condense(self, u: Array) -> Array:
+        """The samples of an interval as one row, or a few where the chaser turns fast."""
+        return condense(u, LARGEST_TURN)

@@ -15,6 +15,8 @@ from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 
+from ._white_noise import add_integrated_white_noise, step_count
+
 Array = NDArray[np.float64]
 #: Highest degree of the zonal harmonics of a field; 0 for that of a sphere.
 Degree = Literal[0, 2, 3, 4]
@@ -132,3 +134,27 @@ def orbit_step(p: Array, y: Array, h: float) -> tuple[Array, Array]:
         ahead = h if stage == 2 else 0.5 * h
         at_y, at_d = so3.add_vector(y, k, ahead), so3.add(one, dk, ahead)
     return end_y, end_d
+
+
+@jit
+def coast(
+    p: Array, y: Array, S: Array, Q: Array, length: float, longest: float, walk: float, white: float
+) -> tuple[Array, Array, Array]:
+    """y after `length` seconds of gravity alone, its sensitivity and the noise of its first six.
+
+    y: as of `orbit_step`, whose steps take at most `longest` seconds; S (n, m), Q (6, 6):
+    from before. walk: density of a random walk of the position, m/sqrt(s); white: of the
+    acceleration's white noise, m/s^1.5.
+    """
+    steps = step_count(length, longest)
+    h, own = length / steps, np.empty((6, 6))
+    for _ in range(steps):
+        y, step = orbit_step(p, y, h)
+        for i in range(6):
+            for j in range(6):
+                own[i, j] = step[i, j]
+        S, Q = so3.multiply(step, S), so3.propagate_covariance(own, Q)
+        add_integrated_white_noise(Q, 0, white**2, h)
+        for i in range(3):
+            Q[i, i] += walk**2 * h
+    return y, S, Q

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
-from relnav_graph.models import SensorModel
 from relnav_graph.state import (
     CHASER_ATTITUDE,
     RELATIVE_ATTITUDE,
@@ -20,9 +19,10 @@ from relnav_graph.state import (
     RELATIVE_POSITION_T,
     TARGET_ATTITUDE,
     Block,
-    check_rotation,
 )
 from relnav_graph.units import Quantity
+
+from ._mounting import MountedSensor
 
 Array = NDArray[np.float64]
 #: How the pose stands in the state: in the target's orbital frame, by R_oc, R_ot and
@@ -76,7 +76,7 @@ def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, A
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointSensor(SensorModel):
+class PointSensor(MountedSensor):
     """What the sensors of known points share.
 
     points: X_t (n, 3), m, target axes; an observation's id is its row. sensor_attitude:
@@ -85,24 +85,17 @@ class PointSensor(SensorModel):
     """
 
     points: Annotated[Array, Quantity("m", (None, 3))]
-    sensor_attitude: Annotated[Array, Quantity("1", (3, 3))] = field(
-        default_factory=lambda: np.eye(3)
-    )
     sensor_position: Annotated[Array, Quantity("m", (3,))] = field(
         default_factory=lambda: np.zeros(3)
     )
     pose: Pose = "orbital"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_rotation(f"{self.kind}.sensor_attitude", self.sensor_attitude)
 
     @property
     def reads(self) -> tuple[Block, ...]:
         return pose_blocks(self.pose)
 
     def constants(self) -> Array:
-        return np.concatenate([self.sensor_attitude.ravel(), self.sensor_position])
+        return np.concatenate([super().constants(), self.sensor_position])
 
     def observables(self) -> NDArray[np.int64]:
         return np.arange(len(self.points))

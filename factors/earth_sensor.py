@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.errors import GeometryError, InputError
-from relnav_graph.models import Measurement, SensorModel
-from relnav_graph.state import CHASER_ATTITUDE, CHASER_POSITION, Block, check_rotation
+from relnav_graph.models import Measurement
+from relnav_graph.state import CHASER_ATTITUDE, CHASER_POSITION, Block
 from relnav_graph.units import Quantity
 
 from ._gauss_markov import GaussMarkov
+from ._mounting import MountedSensor
 
 Array = NDArray[np.float64]
 EARTH_SENSOR_BIAS = Block("earth_sensor_bias", "b_e_s", "vector", 2, "rad", "s", "deg")
@@ -55,7 +56,7 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EarthSensor(SensorModel):
+class EarthSensor(MountedSensor):
     """Direction of the Earth's centre, e = R_cs^T R_ic^T (-r_c): roll and pitch, with a bias.
 
     Roll atan2(e_y, e_z), pitch atan2(e_x, e_z), about the sensor's axis z, which looks at the
@@ -73,20 +74,10 @@ class EarthSensor(SensorModel):
     failures = {1: _BEHIND}
 
     sigma: Annotated[float, Quantity("rad", positive=True)]
-    sensor_attitude: Annotated[Array, Quantity("1", (3, 3))] = field(
-        default_factory=lambda: np.eye(3)
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_rotation(f"{self.kind}.sensor_attitude", self.sensor_attitude)
 
     @property
     def reads(self) -> tuple[Block, ...]:
         return CHASER_ATTITUDE, CHASER_POSITION, EARTH_SENSOR_BIAS
-
-    def constants(self) -> Array:
-        return self.sensor_attitude.ravel()
 
     def accept(self, z: Array) -> Array:
         """z (k, 2). Raises InputError on angles that are none in rad."""

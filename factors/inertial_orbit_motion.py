@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
-from relnav_graph.models import DynamicsModel
 from relnav_graph.state import CHASER_POSITION, CHASER_VELOCITY, Block
-from relnav_graph.units import Quantity
 
-from ._driven_orbit import drive, driven_by
-from ._gravity import Degree, earth_field
-from ._strapdown import LARGEST_TURN, STRAPDOWN_INPUTS, condense
+from ._driven_orbit import DrivenOrbit, drive
+from ._gravity import Degree
 from .accelerometer_bias import Navigation
 
 Array = NDArray[np.float64]
@@ -38,36 +34,18 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
 
 @dataclass(frozen=True, kw_only=True)
-class InertialOrbitMotion(DynamicsModel):
+class InertialOrbitMotion(DrivenOrbit):
     """r_c'' = R_ic (f - b_f) + g(r_c) + white: the absolute navigation of Yang et al. 2016.
 
-    velocity_random_walk_density: m/s^1.5, white noise of the accelerometer, per axis; degree:
-    of the highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step;
-    navigation: which estimate of the accelerometer's bias it takes.
+    Fields: of `DrivenOrbit`.
     """
 
     kind: ClassVar[str] = "inertial_orbit_motion"
-    inputs: ClassVar[Mapping[str, tuple[str, ...]]] = STRAPDOWN_INPUTS
-    noises: ClassVar[tuple[str, ...]] = ("velocity_random_walk_density",) * 2
     kernel = staticmethod(kernel)
 
-    velocity_random_walk_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     degree: Degree = 4
-    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
     navigation: Navigation = "absolute"
 
     @property
     def advances(self) -> tuple[Block, ...]:
         return CHASER_POSITION, CHASER_VELOCITY
-
-    @property
-    def reads(self) -> tuple[Block, ...]:
-        return driven_by(self.navigation)
-
-    def constants(self) -> Array:
-        own = [self.velocity_random_walk_density, self.max_step]
-        return np.concatenate([earth_field(self.degree), own])
-
-    def condense(self, u: Array) -> Array:
-        """The samples of an interval as one row, or a few where the chaser turns fast."""
-        return condense(u, LARGEST_TURN)

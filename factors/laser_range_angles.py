@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
-from relnav_graph.models import Measurement, SensorModel
-from relnav_graph.state import CHASER_ATTITUDE, RELATIVE_POSITION, Block, check_rotation
+from relnav_graph.models import Measurement
+from relnav_graph.state import CHASER_ATTITUDE, RELATIVE_POSITION, Block
 from relnav_graph.units import Quantity
 
+from ._mounting import MountedSensor
 from ._sphere import OPPOSITE, direction, sphere_residual, turned
 
 Array = NDArray[np.float64]
@@ -74,7 +75,7 @@ def _angles(ranges: Array, lines: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LaserRangeAngles(SensorModel):
+class LaserRangeAngles(MountedSensor):
     """Range, azimuth and elevation of the target, s = R_cs^T R_oc^T (-r_tc_o).
 
     Range |s|, azimuth atan2(s_y, s_x), elevation asin(s_z / |s|), as in Yang et al. 2016.
@@ -97,22 +98,12 @@ class LaserRangeAngles(SensorModel):
     angle_sigma: Annotated[float, Quantity("rad", positive=True)]
     range_scale: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
     axes: Axes = "chaser"
-    sensor_attitude: Annotated[Array, Quantity("1", (3, 3))] = field(
-        default_factory=lambda: np.eye(3)
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_rotation(f"{self.kind}.sensor_attitude", self.sensor_attitude)
 
     @property
     def reads(self) -> tuple[Block, ...]:
         if self.axes == "chaser":
             return RELATIVE_POSITION, CHASER_ATTITUDE
         return (RELATIVE_POSITION,)
-
-    def constants(self) -> Array:
-        return self.sensor_attitude.ravel()
 
     def accept(self, z: Array) -> Array:
         """Range, m, and unit vector (k, 4). Raises InputError on a range that is not

@@ -14,8 +14,8 @@ from relnav_graph.models import DynamicsModel
 from relnav_graph.state import CHASER_POSITION, CHASER_VELOCITY, Block
 from relnav_graph.units import Quantity
 
-from ._gravity import FIELD, Degree, earth_field, orbit_step
-from ._white_noise import add_integrated_white_noise, duration, step_count
+from ._gravity import FIELD, Degree, coast, earth_field
+from ._white_noise import duration
 
 Array = NDArray[np.float64]
 
@@ -23,17 +23,9 @@ Array = NDArray[np.float64]
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r_c_i, v_c_i). p: field, position and acceleration density, longest step."""
-    length = duration(u)
-    steps = step_count(length, p[FIELD + 2])
-    h = length / steps
-    y, total, noise = x, so3.identity(6), np.zeros((6, 6))
-    for _ in range(steps):
-        y, step = orbit_step(p, y, h)
-        total = so3.multiply(step, total)
-        noise = so3.propagate_covariance(step, noise)
-        add_integrated_white_noise(noise, 0, p[FIELD + 1] ** 2, h)
-        for i in range(3):
-            noise[i, i] += p[FIELD] ** 2 * h
+    S, nothing = so3.identity(6), np.zeros((6, 6))
+    walk, white, longest = p[FIELD], p[FIELD + 1], p[FIELD + 2]
+    y, total, noise = coast(p, x, S, nothing, duration(u), longest, walk, white)
     so3.put_vector(x_next, 0, y)
     so3.put(F, 0, 0, total, 1.0)
     so3.put(Q, 0, 0, noise, 1.0)

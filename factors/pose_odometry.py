@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
-from relnav_graph.models import Measurement, SensorModel
-from relnav_graph.state import Block, check_rotation
+from relnav_graph.models import Measurement
+from relnav_graph.state import Block
 from relnav_graph.units import Quantity
 
 from ._attitude import QUATERNION, attitude_residual, turned, unit_quaternions
+from ._mounting import MountedSensor
 from ._points import Pose, point_in_sensor, pose_blocks
 from .attitude_odometry import turn_between
 from .previous_pose import previous_blocks
@@ -62,7 +63,7 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseOdometry(SensorModel):
+class PoseOdometry(MountedSensor):
     """Motion of the sensor relative to the target between two epochs: T_s-s.
 
     z = (r, q_wxyz): r = R_cs^T R_tc-^T (p - p-) with p = r_tc_t + R_tc r_sc_c, the present
@@ -86,25 +87,17 @@ class PoseOdometry(SensorModel):
     position_sigma: Annotated[Array, Quantity("m", (3,), positive=True, fill=True)]
     attitude_sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
     scene_centre: Annotated[Array, Quantity("m", (3,))] = field(default_factory=lambda: np.zeros(3))
-    sensor_attitude: Annotated[Array, Quantity("1", (3, 3))] = field(
-        default_factory=lambda: np.eye(3)
-    )
     sensor_position: Annotated[Array, Quantity("m", (3,))] = field(
         default_factory=lambda: np.zeros(3)
     )
     pose: Pose = "orbital"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_rotation(f"{self.kind}.sensor_attitude", self.sensor_attitude)
 
     @property
     def reads(self) -> tuple[Block, ...]:
         return *previous_blocks(self.pose), *pose_blocks(self.pose)
 
     def constants(self) -> Array:
-        mounting = self.sensor_attitude.ravel(), self.sensor_position
-        return np.concatenate([*mounting, self.scene_centre])
+        return np.concatenate([super().constants(), self.sensor_position, self.scene_centre])
 
     def accept(self, z: Array) -> Array:
         """r and unit quaternions (k, 7). Raises InputError when one is not, within 1e-3."""

@@ -20,8 +20,8 @@ from relnav_graph.state import (
 )
 from relnav_graph.units import Quantity
 
-from ._gravity import FIELD, Degree, earth_field, orbit_step
-from ._white_noise import add_integrated_white_noise, duration, step_count
+from ._gravity import FIELD, Degree, coast, earth_field
+from ._white_noise import duration
 
 Array = NDArray[np.float64]
 
@@ -29,18 +29,8 @@ Array = NDArray[np.float64]
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r_tc_i, v_tc_i, r_c_i, v_c_i). p: field, acceleration density, longest step."""
-    length = duration(u)
-    steps = step_count(length, p[FIELD + 1])
-    h = length / steps
-    y, total, noise, own = x, so3.identity(12), np.zeros((6, 6)), np.empty((6, 6))
-    for _ in range(steps):
-        y, step = orbit_step(p, y, h)
-        total = so3.multiply(step, total)
-        for i in range(6):
-            for j in range(6):
-                own[i, j] = step[i, j]
-        noise = so3.propagate_covariance(own, noise)
-        add_integrated_white_noise(noise, 0, p[FIELD] ** 2, h)
+    S, nothing = so3.identity(12), np.zeros((6, 6))
+    y, total, noise = coast(p, x, S, nothing, duration(u), p[FIELD + 1], 0.0, p[FIELD])
     for i in range(6):
         x_next[i] = y[i]
         for j in range(12):
