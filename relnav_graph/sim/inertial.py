@@ -16,7 +16,7 @@ from relnav_graph import so3
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
-from relnav_graph.sim.truth import RigidBodyPair, checked_times
+from relnav_graph.sim.truth import checked_times, initial_orbits
 from relnav_graph.state import TRACELESS
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
@@ -176,15 +176,7 @@ class InertialPair(TumblingBody):
     def _craft(self) -> Array:
         """(12,): position and velocity of the chaser, then those of the target relative to
         it, in i at t = 0: the orbit that has noise of its own is integrated itself."""
-        names = ("semi_major_axis", "eccentricity", "true_anomaly", "inclination", "raan")
-        pair = RigidBodyPair(
-            **{name: getattr(self, name) for name in (*names, "argument_of_perigee")},
-            relative_position=-self.relative_position,
-            relative_velocity=-self.relative_velocity,
-            target_inertia=np.ones(3),
-            target_rate=np.zeros(3),
-        )
-        return pair.initial_state()[:12]
+        return initial_orbits(self, -self.relative_position, -self.relative_velocity)
 
     def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
         """Truth at `times` (N,), s: increasing, the first not before t = 0.

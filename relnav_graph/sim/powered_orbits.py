@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from relnav_graph import so3
 from relnav_graph.errors import InputError
 from relnav_graph.sim.powered_dynamics import fly_orbits, sample_attitude, wobbled
-from relnav_graph.sim.truth import RigidBodyPair, checked_times
+from relnav_graph.sim.truth import checked_times, initial_orbits
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
@@ -90,15 +90,7 @@ class PoweredOrbits:
 
     def craft(self) -> Array:
         """(12,): position and velocity of the target, then of the chaser."""
-        names = ("semi_major_axis", "eccentricity", "true_anomaly", "inclination", "raan")
-        pair = RigidBodyPair(
-            **{name: getattr(self, name) for name in (*names, "argument_of_perigee")},
-            relative_position=self.relative_position,
-            relative_velocity=self.relative_velocity,
-            target_inertia=np.ones(3),
-            target_rate=np.zeros(3),
-        )
-        y: Array = pair.initial_state()[:12].copy()
+        y = initial_orbits(self, self.relative_position, self.relative_velocity)
         y[6:] += y[:6]
         return y
 

@@ -7,7 +7,7 @@ hide in the data that they are tested with.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from relnav_graph.sim.integrate import STATE_SIZE, integrate
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
-__all__ = ["RigidBodyPair", "checked_times"]
+__all__ = ["RigidBodyPair", "checked_times", "initial_orbits"]
 
 Array = NDArray[np.float64]
 
@@ -195,3 +195,22 @@ def checked_times(times: Array) -> Array:
         k = backwards[0]
         raise InputError(f"times: found {t[k + 1]} s after {t[k]} s, expected increasing times")
     return t
+
+
+def initial_orbits(elements: Any, relative_position: Array, relative_velocity: Array) -> Array:
+    """(12,): position and velocity of a craft in i at t = 0, then those of another relative
+    to it.
+
+    elements: has the fields of `RigidBodyPair` that describe the orbit of the first;
+    relative_position: m, and relative_velocity, m/s, its derivative there, in RTN axes of
+    that orbit. Raises InputError on an orbit that is not an ellipse.
+    """
+    names = ("semi_major_axis", "eccentricity", "true_anomaly", "inclination", "raan")
+    pair = RigidBodyPair(
+        **{name: getattr(elements, name) for name in (*names, "argument_of_perigee")},
+        relative_position=relative_position,
+        relative_velocity=relative_velocity,
+        target_inertia=np.ones(3),
+        target_rate=np.zeros(3),
+    )
+    return pair.initial_state()[:12]
