@@ -69,6 +69,19 @@ def test_the_next_process_compiles_nothing(package: Path) -> None:
     assert result(start(package, PROGRAM)) == ["9.0"]
 
 
+def test_a_constant_in_another_file_reaches_the_cache(package: Path) -> None:
+    """numba's own cache would go on with the old one."""
+    kernels, constants = package / "outsider" / "kernels.py", package / "outsider" / "constants.py"
+    kernels.write_text(
+        "from relnav_graph.compiled import jit\nfrom outsider.constants import K\n"
+        "@jit\ndef f(x):\n    return K * x\n"
+    )
+    for value in ("2.0", "3.0"):
+        constants.write_text(f"K = {value}\n")
+        found = result(start(package, "from outsider.kernels import f; print(f(1.0))"))
+        assert found == [value]
+
+
 def test_processes_at_once_compile_each_function_once(package: Path) -> None:
     found = [result(process) for process in [start(package, PROGRAM) for _ in range(3)]]
     assert {value for value, *_ in found} == {"9.0"}

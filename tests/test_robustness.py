@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -51,29 +49,6 @@ def test_inputs_at_stamps_of_a_clock_keep_their_samples() -> None:
     found, values = series.over(float(edges[20]), float(edges[70]))
     np.testing.assert_allclose(np.diff(found), 0.1, atol=1e-6)
     np.testing.assert_array_equal(values[:, 0], 3.0 * np.arange(20, 70))
-
-
-def test_a_constant_in_another_file_reaches_the_cache(tmp_path: Path) -> None:
-    """numba's own cache would go on with the old one."""
-    package = tmp_path / "outsider"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "kernels.py").write_text(
-        "from relnav_graph.compiled import jit\nfrom outsider.constants import K\n"
-        "@jit\ndef f(x):\n    return K * x\n"
-    )
-    program = "from outsider.kernels import f; print(f(1.0))"
-    for value in ("2.0", "3.0"):
-        (package / "constants.py").write_text(f"K = {value}\n")
-        done = subprocess.run(
-            [sys.executable, "-c", program],
-            cwd=tmp_path,
-            env={"RELNAV_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert done.stdout.strip() == value
 
 
 def test_errors_of_all_tables_come_at_once() -> None:
