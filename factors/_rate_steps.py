@@ -1,98 +1,103 @@
-"""Steps of a free body's rate and attitude, with their own exact Jacobians."""
+"""Steps of a free body's rate and attitude, with their own exact Jacobians.
+
+A vector and its Jacobian to (w, k), n = 3 + dim(k) columns, stand side by side: (3, 1 + n).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph import so3
 from relnav_graph.compiled import jit
 
 Array = NDArray[np.float64]
 
 
 @jit
-def euler_acceleration(w: Array, A: Array, dA: Array, dw: Array) -> tuple[Array, Array]:
-    """w' (3,) of a torque-free body and its Jacobian (3, 3 + n) to (w0, k), with dw that
-    of w itself. A, dA: see `euler_coefficients`; of principal axes only the products
-    w_y w_z and cyclic count."""
-    x, y, z = w[0], w[1], w[2]
-    n, out, to_w = dA.shape[0], np.zeros(3), np.zeros((3, 3))
-    principal = n == 2
+def start_of(w: Array, n: int) -> Array:
+    """The rate w (3,) at the start of a step, with its Jacobian to itself: (3, 1 + n)."""
+    out = np.zeros((3, 1 + n))
+    for i in range(3):
+        out[i, 0], out[i, 1 + i] = w[i], 1.0
+    return out
+
+
+@jit
+def euler_acceleration(w: Array, A: Array, dA: Array, out: Array) -> None:
+    """w' of a torque-free body from w, both with Jacobians, (3, 1 + n). A, dA: see
+    `euler_coefficients`; of principal axes only the products w_y w_z and cyclic count."""
+    x, y, z = w[0, 0], w[1, 0], w[2, 0]
     for i in range(3):
         C = A[i]
-        if principal:
-            to_w[i, (i + 1) % 3] = C[3 + i] * w[(i + 2) % 3]
-            to_w[i, (i + 2) % 3] = C[3 + i] * w[(i + 1) % 3]
-        else:
-            to_w[i, 0] = 2 * C[0] * x + C[4] * z + C[5] * y
-            to_w[i, 1] = 2 * C[1] * y + C[3] * z + C[5] * x
-            to_w[i, 2] = 2 * C[2] * z + C[3] * y + C[4] * x
+        to_x = 2 * C[0] * x + C[4] * z + C[5] * y
+        to_y = 2 * C[1] * y + C[3] * z + C[5] * x
+        to_z = 2 * C[2] * z + C[3] * y + C[4] * x
         # Of second degree in w: Euler's theorem on homogeneous functions.
-        out[i] = 0.5 * (to_w[i, 0] * x + to_w[i, 1] * y + to_w[i, 2] * z)
-    jacobian = so3.multiply(to_w, dw)
-    for m in range(n):
-        for i in range(3):
+        out[i, 0] = 0.5 * (to_x * x + to_y * y + to_z * z)
+        for j in range(1, w.shape[1]):
+            out[i, j] = to_x * w[0, j] + to_y * w[1, j] + to_z * w[2, j]
+        for m in range(dA.shape[0]):
             C = dA[m, i]
-            if principal:
-                jacobian[i, 3 + m] += C[3 + i] * w[(i + 1) % 3] * w[(i + 2) % 3]
-            else:
-                squares = C[0] * x * x + C[1] * y * y + C[2] * z * z
-                jacobian[i, 3 + m] += squares + C[3] * y * z + C[4] * z * x + C[5] * x * y
-    return out, jacobian
+            squares = C[0] * x * x + C[1] * y * y + C[2] * z * z
+            out[i, 4 + m] += squares + C[3] * y * z + C[4] * z * x + C[5] * x * y
 
 
 @jit
-def rate_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array, Array, Array]:
-    """One Runge-Kutta step of the rate: w (3,) and turn (3,) over h seconds, with their
-    Jacobians to (w, k), (3, 3 + n) each, which are exact for the step as computed.
+def rate_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
+    """One Runge-Kutta step of the rate: w and turn over h seconds, with their Jacobians,
+    (3, 1 + n) each, which are exact for the step as computed.
 
-    The turn is Magnus' series to fourth order: the mean rate, with the midpoint from the
-    Hermite polynomial, and the coning term (w0 x w1) h^2 / 12.
+    w: see `start_of`. The turn is Magnus' series to fourth order: the mean rate, with the
+    midpoint from the Hermite polynomial, and the coning term (w0 x w1) h^2 / 12.
     """
-    n = 3 + dA.shape[0]
-    start = np.zeros((3, n))
-    start[0, 0] = start[1, 1] = start[2, 2] = 1.0
-    first, dfirst = euler_acceleration(w, A, dA, start)
-    w1, dw1 = so3.add_vector(w, first, h / 6), so3.add(start, dfirst, h / 6)
-    a, da = first, dfirst
-    for stage in range(1, 4):
-        ahead = h if stage == 3 else 0.5 * h
-        rate, drate = so3.add_vector(w, a, ahead), so3.add(start, da, ahead)
-        a, da = euler_acceleration(rate, A, dA, drate)
-        weight = h / 6 if stage == 3 else h / 3
-        w1, dw1 = so3.add_vector(w1, a, weight), so3.add(dw1, da, weight)
-    last, dlast = euler_acceleration(w1, A, dA, dw1)
-    coning = so3.cross(w, w1)
-    dconing = so3.add(so3.multiply(so3.skew(w), dw1), so3.multiply(so3.skew(w1), start), -1.0)
-    turn, dturn = np.empty(3), np.empty((3, n))
+    n = w.shape[1]
+    first, at, w1 = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
+    euler_acceleration(w, A, dA, first)
+    a, turn = first.copy(), np.empty((3, n))
     for i in range(3):
-        turn[i] = h / 2 * (w[i] + w1[i]) + h * h / 12 * (first[i] - last[i] + coning[i])
         for j in range(n):
-            bent = dfirst[i, j] - dlast[i, j] + dconing[i, j]
-            dturn[i, j] = h / 2 * (start[i, j] + dw1[i, j]) + h * h / 12 * bent
-    return w1, turn, dw1, dturn
+            w1[i, j] = w[i, j] + h / 6 * first[i, j]
+    for stage in range(1, 4):
+        ahead, weight = (h, h / 6) if stage == 3 else (0.5 * h, h / 3)
+        for i in range(3):
+            for j in range(n):
+                at[i, j] = w[i, j] + ahead * a[i, j]
+        euler_acceleration(at, A, dA, a)
+        for i in range(3):
+            for j in range(n):
+                w1[i, j] += weight * a[i, j]
+    last = a
+    euler_acceleration(w1, A, dA, last)
+    for i in range(3):
+        b, c = (i + 1) % 3, (i + 2) % 3
+        for j in range(n):
+            coning = w[b, j] * w1[c, 0] - w[c, j] * w1[b, 0]
+            if j > 0:
+                coning += w[b, 0] * w1[c, j] - w[c, 0] * w1[b, j]
+            bent = first[i, j] - last[i, j] + coning
+            turn[i, j] = h / 2 * (w[i, j] + w1[i, j]) + h * h / 12 * bent
+    return w1, turn
 
 
 @jit
-def published_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array, Array, Array]:
-    """One Euler step, as Hu et al. 2019 predict; gives what `rate_step` gives.
+def published_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
+    """One Euler step, as Hu et al. 2019 predict; takes and gives what `rate_step` does.
 
     Their q + q' h, made a unit quaternion again, turns by 2 atan(|w| h / 2) about w.
     """
-    start = np.zeros((3, 3 + dA.shape[0]))
-    start[0, 0] = start[1, 1] = start[2, 2] = 1.0
-    a, da = euler_acceleration(w, A, dA, start)
-    half2 = 0.25 * h * h * (w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
+    w1, turn = np.empty_like(w), np.zeros_like(w)
+    euler_acceleration(w, A, dA, w1)
+    half2 = 0.25 * h * h * (w[0, 0] ** 2 + w[1, 0] ** 2 + w[2, 0] ** 2)
     half = np.sqrt(half2)
     stretch, slope = 1 - half2 / 3 * (1 - 0.6 * half2), -2 / 3.0 + 0.8 * half2
     if half > 1e-2:
         stretch = np.arctan(half) / half
         slope = (1 / (1 + half2) - stretch) / half2
-    turn, dturn = np.empty(3), np.zeros((3, 3 + dA.shape[0]))
     for i in range(3):
-        turn[i] = stretch * h * w[i]
-        dturn[i, i] = stretch * h
+        for j in range(w.shape[1]):
+            w1[i, j] = w[i, j] + h * w1[i, j]
+        turn[i, 0] = stretch * h * w[i, 0]
+        turn[i, 1 + i] = stretch * h
         for j in range(3):  # d(half2) = h^2 w_j / 2, and d(stretch) = slope d(half2) / 2
-            dturn[i, j] += 0.25 * slope * h**3 * w[i] * w[j]
-    return so3.add_vector(w, a, h), turn, so3.add(start, da, h), dturn
+            turn[i, 1 + j] += 0.25 * slope * h**3 * w[i, 0] * w[j, 0]
+    return w1, turn

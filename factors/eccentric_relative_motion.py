@@ -59,9 +59,11 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
     one = so3.identity(6)
     at_x, at_d, end_x, end_d = x, one, x, one
     k, dk = np.empty(6), np.empty((6, 6))
+    motion = chief_motion(orbit, t)
     for stage in range(4):
-        at = t if stage == 0 else t + h if stage == 3 else t + 0.5 * h
-        a, da = relative_acceleration(chief_motion(orbit, at), orbit[3], at_x)
+        if stage in (1, 3):
+            motion = chief_motion(orbit, t + h if stage == 3 else t + 0.5 * h)
+        a, da = relative_acceleration(motion, orbit[3], at_x)
         chained = so3.multiply(da, at_d)
         for i in range(3):
             k[i], k[3 + i] = at_x[3 + i], a[i]

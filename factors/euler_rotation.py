@@ -24,7 +24,7 @@ from relnav_graph.state import (
 from relnav_graph.units import Quantity
 
 from ._inertia import coefficients_of, euler_coefficients
-from ._rate_steps import published_step, rate_step
+from ._rate_steps import published_step, rate_step, start_of
 from ._white_noise import add_integrated_white_noise, duration, step_count
 
 Array = NDArray[np.float64]
@@ -45,17 +45,24 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         A, dA = euler_coefficients(k)
     total, noise, step = so3.identity(n), np.zeros((n, n)), so3.identity(n)
     for _ in range(steps):
+        before = start_of(w, n - 3)
         if p[7] != 0.0:
-            w, turn, dw, dturn = published_step(w, A, dA, h)
+            after, turn = published_step(before, A, dA, h)
         else:
-            w, turn, dw, dturn = rate_step(w, A, dA, h)
-        ahead = so3.exp(turn)
+            after, turn = rate_step(before, A, dA, h)
+        angle = np.empty(3)
+        for i in range(3):
+            w[i], angle[i] = after[i, 0], turn[i, 0]
+        ahead, bend = so3.exp(angle), so3.right_jacobian(angle)
         R_ot = so3.multiply(R_ot, ahead)
         for i in range(3):
             for j in range(3):
                 step[i, j] = ahead[j, i]
-        so3.put(step, 0, 3, so3.multiply(so3.right_jacobian(turn), dturn), 1.0)
-        so3.put(step, 3, 3, dw, 1.0)
+            for j in range(3, n):
+                step[3 + i, j] = after[i, j - 2]
+                step[i, j] = 0.0
+                for l in range(3):
+                    step[i, j] += bend[i, l] * turn[l, j - 2]
         total = so3.multiply(step, total)
         noise = so3.propagate_covariance(step, noise)
         add_integrated_white_noise(noise, 0, p[4] ** 2, h)

@@ -108,7 +108,18 @@ def _locked(path: Path) -> Iterator[None]:
     yield
 
 
-def _call_by_symbol(compiled: Any, vectorize: bool) -> None:
+@contextmanager
+def _vectors(of: str) -> Iterator[None]:
+    """What numba's compiler makes vectors of: it has one choice for all functions."""
+    configured = numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE
+    numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = of == "loops", of == "columns"
+    try:
+        yield
+    finally:
+        numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = configured
+
+
+def _call_by_symbol(compiled: Any, vectorize: str) -> None:
     """Have compiled callers call the one copy of a function's machine code.
 
     Its address is known to the linker of a process under a symbol, which the callers' code
@@ -121,12 +132,10 @@ def _call_by_symbol(compiled: Any, vectorize: bool) -> None:
 
     def build_and_note(arguments: Any, return_type: Any) -> Any:
         _CALLED.append(set())
-        configured = numba.config.LOOP_VECTORIZE  # numba has it for all functions only
-        numba.config.LOOP_VECTORIZE = int(vectorize)
         try:
-            result = build(arguments, return_type)
+            with _vectors(vectorize):
+                result = build(arguments, return_type)
         finally:
-            numba.config.LOOP_VECTORIZE = configured
             called = _CALLED.pop()
         result.reload_init.extend(sorted(called - set(result.reload_init), key=repr))
         return result
@@ -160,10 +169,11 @@ def _call_by_symbol(compiled: Any, vectorize: bool) -> None:
     compiled.get_overload = symbol_of
 
 
-def compiled_once(function: F, vectorize: bool = False, **options: bool) -> F:
+def compiled_once(function: F, vectorize: str = "", **options: bool) -> F:
     """A function that numba compiles when it is first called, and keeps on disk.
 
-    vectorize: its loops, which takes long and only helps the long ones.
+    vectorize: "loops", which takes long and only helps the long ones; "columns", neighbours that
+    the source writes out one by one; or nothing.
     """
     options |= {"error_model": "numpy", "no_cfunc_wrapper": True}  # type: ignore[dict-item]
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back

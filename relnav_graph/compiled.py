@@ -28,6 +28,7 @@ __all__ = [
     "dynamics_at",
     "jit",
     "jit_as",
+    "jit_columns",
     "jit_vector",
     "prepare",
     "sensor_address",
@@ -69,7 +70,12 @@ def jit(function: F) -> F:
 
 def jit_vector(function: F) -> F:
     """:func:`jit` with loops over vectors, for long rows."""
-    return compiled_once(function, vectorize=True)
+    return compiled_once(function, vectorize="loops")
+
+
+def jit_columns(function: F) -> F:
+    """:func:`jit` with vectors made of what is written out for adjoining columns."""
+    return compiled_once(function, vectorize="columns")
 
 
 def _address(kernel: Any, signature: Any) -> int:

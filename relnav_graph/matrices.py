@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit, jit_vector
+from relnav_graph.compiled import jit, jit_columns, jit_vector
 
 __all__ = [
     "cholesky",
@@ -28,7 +28,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
-@jit_vector
+@jit_columns
 def product(a: Array, b: Array, out: Array) -> None:
     """``out = a b``."""
     for i in range(a.shape[0]):
@@ -36,9 +36,17 @@ def product(a: Array, b: Array, out: Array) -> None:
             out[i, j] = 0.0
         for l in range(a.shape[1]):
             f = a[i, l]
-            if f != 0.0:
-                for j in range(b.shape[1]):
-                    out[i, j] += f * b[l, j]
+            if f == 0.0:
+                continue
+            j = 0
+            while j + 3 < b.shape[1]:
+                w, x = out[i, j] + f * b[l, j], out[i, j + 1] + f * b[l, j + 1]
+                y, z = out[i, j + 2] + f * b[l, j + 2], out[i, j + 3] + f * b[l, j + 3]
+                out[i, j], out[i, j + 1], out[i, j + 2], out[i, j + 3] = w, x, y, z
+                j += 4
+            while j < b.shape[1]:
+                out[i, j] += f * b[l, j]
+                j += 1
 
 
 @jit
@@ -127,18 +135,27 @@ def inverse_upper(R: Array) -> Array:
     return out
 
 
-@jit_vector
+@jit_columns
 def householder(a: Array, columns: int, below: int, rows: int, width: int) -> None:
     """Triangularise the first columns of ``a[:rows, :width]`` by reflections, in place.
 
-    below: rows from the diagonal down to this one are known to be zero there already.
+    below: rows from the diagonal down to this one are known to be zero there already. A
+    reflection leaves out the rows that are zero in its column, and the columns in which none
+    of its rows has begun; the sums of four columns stay in registers.
     """
-    w = np.empty(width)
+    end, at, f = np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows)
+    for i in range(rows):
+        end[i] = width
+        while end[i] > 0 and a[i, end[i] - 1] == 0.0:
+            end[i] -= 1
     for j in range(columns):
-        first = max(j + 1, below)
-        s = 0.0
-        for i in range(first, rows):
-            s += a[i, j] * a[i, j]
+        last, count, s = end[j], 0, 0.0
+        for i in range(max(j + 1, below), rows):
+            if a[i, j] != 0.0:
+                at[count], f[count] = i, a[i, j]
+                count += 1
+                s += a[i, j] * a[i, j]
+                a[i, j], last = 0.0, max(last, end[i])
         if s == 0.0:
             continue
         pivot = a[j, j]
@@ -146,21 +163,37 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
         if pivot > 0.0:
             length = -length
         v = pivot - length
-        for c in range(j + 1, width):
-            w[c] = v * a[j, c]
-        for i in range(first, rows):
-            f = a[i, j]
-            if f != 0.0:
-                for c in range(j + 1, width):
-                    w[c] += f * a[i, c]
         scale = 2.0 / (v * v + s)
-        for c in range(j + 1, width):
-            w[c] *= scale
-            a[j, c] -= v * w[c]
-        a[j, j] = length
-        for i in range(first, rows):
-            f = a[i, j]
-            if f != 0.0:
-                for c in range(j + 1, width):
-                    a[i, c] -= f * w[c]
-                a[i, j] = 0.0
+        a[j, j], end[j] = length, last
+        for l in range(count):
+            end[at[l]] = last
+        c = j + 1
+        while c + 3 < last:
+            w, x, y, z = v * a[j, c], v * a[j, c + 1], v * a[j, c + 2], v * a[j, c + 3]
+            for l in range(count):
+                i = at[l]
+                w += f[l] * a[i, c]
+                x += f[l] * a[i, c + 1]
+                y += f[l] * a[i, c + 2]
+                z += f[l] * a[i, c + 3]
+            w, x, y, z = scale * w, scale * x, scale * y, scale * z
+            a[j, c] -= v * w
+            a[j, c + 1] -= v * x
+            a[j, c + 2] -= v * y
+            a[j, c + 3] -= v * z
+            for l in range(count):
+                i = at[l]
+                a[i, c] -= f[l] * w
+                a[i, c + 1] -= f[l] * x
+                a[i, c + 2] -= f[l] * y
+                a[i, c + 3] -= f[l] * z
+            c += 4
+        while c < last:
+            w = v * a[j, c]
+            for l in range(count):
+                w += f[l] * a[at[l], c]
+            w *= scale
+            a[j, c] -= v * w
+            for l in range(count):
+                a[at[l], c] -= f[l] * w
+            c += 1

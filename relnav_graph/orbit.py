@@ -73,6 +73,8 @@ def stumpff(z: float) -> Array:
             for k in range(1, 20):
                 term *= -z / ((n + 2 * k - 1) * (n + 2 * k))
                 c[n] += term
+                if abs(term) < 1e-20:
+                    break
         c[3], c[2] = 1 / 6.0 - z * c[5], 0.5 - z * c[4]
         c[1], c[0] = 1.0 - z * c[3], 1.0 - z * c[2]
         return c
@@ -99,7 +101,7 @@ def _universal_anomaly(r0: float, sigma0: float, alpha: float, s: float) -> floa
         root = np.sqrt(abs(16 * slope * slope - 20 * f * curve))
         step = 5 * f / (slope + (root if slope > 0 else -root))
         chi -= step
-        if abs(step) <= 1e-14 * abs(chi):
+        if abs(step) <= 1e-6 * abs(chi):  # converges cubically: that was the last one needed
             break
     return chi
 

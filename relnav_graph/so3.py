@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.compiled import jit
-from relnav_graph.matrices import sandwich
+from relnav_graph.matrices import product, sandwich
 
 Array = NDArray[np.float64]
 
@@ -105,13 +105,8 @@ def propagate_covariance(F: Array, P: Array) -> Array:
 @jit
 def multiply(a: Array, b: Array) -> Array:
     """Product of two small matrices, (m, k) by (k, n); cheaper than a BLAS call."""
-    m, k, n = a.shape[0], a.shape[1], b.shape[1]
-    out = np.zeros((m, n))
-    for i in range(m):
-        for l in range(k):
-            f = a[i, l]
-            for j in range(n):
-                out[i, j] += f * b[l, j]
+    out = np.empty((a.shape[0], b.shape[1]))
+    product(a, b, out)
     return out
 
 
