@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import jit, jit_inner
 from relnav_graph.state import TRACELESS
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ def principal_ratios(k: Array) -> tuple[Array, Array]:
     return l, jacobian
 
 
-@jit
+@jit_inner
 def _exponential(S: Array) -> tuple[Array, Array]:
     """exp(S) of a symmetric (3, 3) matrix and its derivatives along `TRACELESS`, (5, 3, 3):
     Taylor's series of S / 2^m, differentiated term by term, then squared m times."""
@@ -54,7 +54,7 @@ def _exponential(S: Array) -> tuple[Array, Array]:
     return out, d_out
 
 
-@jit
+@jit_inner
 def _inertia_of(density: Array) -> Array:
     """J = tr(D) I - D of the second moments D of the mass, (3, 3)."""
     out = so3.add(np.zeros((3, 3)), density, -1.0)
@@ -80,7 +80,7 @@ def inertia_matrix(k: Array) -> tuple[Array, Array]:
     return _inertia_of(density), d_inertia
 
 
-@jit
+@jit_inner
 def _inverse(J: Array) -> Array:
     """Of a symmetric positive definite (3, 3) matrix, by cofactors."""
     out, determinant = np.empty((3, 3)), 0.0
@@ -94,7 +94,7 @@ def _inverse(J: Array) -> Array:
     return out / determinant
 
 
-@jit
+@jit_inner
 def _gyroscopic(J: Array) -> Array:
     """C (3, 6) with w x J w = C (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y)."""
     out = np.zeros((3, 6))
@@ -108,30 +108,31 @@ def _gyroscopic(J: Array) -> Array:
 
 @jit
 def coefficients_of(J: Array) -> Array:
-    """A (3, 6), as `euler_coefficients` has it, of a known inertia J (3, 3)."""
+    """A (3, 6), as `principal_coefficients` has it, of a known inertia J (3, 3)."""
     return so3.add(np.zeros((3, 6)), so3.multiply(_inverse(J), _gyroscopic(J)), -1.0)
 
 
-@jit
-def euler_coefficients(k: Array) -> tuple[Array, Array]:
+@jit_inner
+def principal_coefficients(k: Array) -> tuple[Array, Array]:
     """A (3, 6) with w' = A (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y) for a body
-    without torque, and its derivatives to k, (n, 3, 6).
+    without torque about its principal axes, w_x' = l_x w_y w_z, and its derivatives to k (2,),
+    (2, 3, 6)."""
+    A, slope = np.zeros((3, 6)), np.zeros((2, 3, 6))
+    l, dl = principal_ratios(k)
+    for i in range(3):
+        A[i, 3 + i] = l[i]
+        for a in range(2):
+            slope[a, i, 3 + i] = dl[i, a]
+    return A, slope
 
-    k (2,): principal inertia, w_x' = l_x w_y w_z; k (5,): the full matrix, A = -J^-1 C.
-    """
-    n = k.shape[0]
-    slope = np.zeros((n, 3, 6))
-    if n == 2:
-        A = np.zeros((3, 6))
-        l, dl = principal_ratios(k)
-        for i in range(3):
-            A[i, 3 + i] = l[i]
-            for a in range(2):
-                slope[a, i, 3 + i] = dl[i, a]
-        return A, slope
+
+@jit_inner
+def full_coefficients(k: Array) -> tuple[Array, Array]:
+    """What `principal_coefficients` gives, of the full matrix, A = -J^-1 C, and k (5,)."""
     J, dJ = inertia_matrix(k)
+    slope = np.zeros((5, 3, 6))
     A, minus = coefficients_of(J), so3.add(np.zeros((3, 3)), _inverse(J), -1.0)
-    for a in range(n):  # of J A = -C
+    for a in range(5):  # of J A = -C
         bent = so3.add(_gyroscopic(dJ[a]), so3.multiply(dJ[a], A), 1.0)
         so3.put(slope[a], 0, 0, so3.multiply(minus, bent), 1.0)
     return A, slope

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import jit_inner
 
 Array = NDArray[np.float64]
 
 
-@jit
+@jit_inner
 def duration(u: Array) -> float:
     """Length of an interval, s: the sum over its sub-intervals."""
     out = 0.0
@@ -19,13 +19,13 @@ def duration(u: Array) -> float:
     return out
 
 
-@jit
+@jit_inner
 def step_count(length: float, longest: float) -> int:
     """Number of equal steps of at most `longest` in `length`; rounding adds none."""
     return max(1, int(np.ceil(length / longest - 1e-9)))
 
 
-@jit
+@jit_inner
 def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) -> None:
     """Add the noise of three axes whose rate is a random walk, over h seconds.
 

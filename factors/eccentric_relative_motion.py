@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit
-from relnav_graph.models import DynamicsModel
+from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.models import DynamicsModel, Kernel
 from relnav_graph.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
 from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
 from relnav_graph.units import Quantity
@@ -20,7 +20,7 @@ from ._white_noise import add_integrated_white_noise, duration, step_count
 Array = NDArray[np.float64]
 
 
-@jit
+@jit_inner
 def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Array]:
     """r'' (3,) of the separation x = (r, r') in the rotating frame, and its Jacobian to
     x, (3, 6): the exact difference of two two-body motions.
@@ -53,7 +53,7 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
     return out, jacobian
 
 
-@jit
+@jit_inner
 def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
     """x (6,) after one Runge-Kutta step of h seconds, and the step's own Jacobian."""
     one = so3.identity(6)
@@ -76,24 +76,40 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
     return end_x, end_d
 
 
+@jit_inner
+def _add_step(step: Array, p: Array, h: float, F: Array, Q: Array) -> None:
+    """Sensitivity F and noise Q of what came before, brought to the end of a step."""
+    so3.put(F, 0, 0, so3.multiply(step, F), 1.0)
+    so3.put(Q, 0, 0, so3.propagate_covariance(step, Q), 1.0)
+    add_integrated_white_noise(Q, 0, p[4] ** 2, h)
+
+
 @jit
-def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r_tc_o, r_tc_o'). Steps of at most p[6] seconds; p[5] != 0: exact gravity."""
+def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r_tc_o, r_tc_o'). Steps of at most p[5] seconds."""
     length = duration(u)
-    steps = step_count(length, p[6])
+    steps = step_count(length, p[5])
     h = length / steps
     state, total, noise = x, so3.identity(6), np.zeros((6, 6))
     for n in range(steps):
-        at = t + n * h
-        if p[5] != 0.0:
-            state, step = exact_step(p, at, h, state)
-        else:
-            step = relative_transition(p, at, at + h)
-            state = so3.rotate(step, state)
-        total = so3.multiply(step, total)
-        noise = so3.propagate_covariance(step, noise)
-        add_integrated_white_noise(noise, 0, p[4] ** 2, h)
+        state, step = exact_step(p, t + n * h, h, state)
+        _add_step(step, p, h, total, noise)
     so3.put_vector(x_next, 0, state)
+    so3.put(F, 0, 0, total, 1.0)
+    so3.put(Q, 0, 0, noise, 1.0)
+    return 0
+
+
+@jit
+def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """The same under linear gravity; the steps are those of the noise."""
+    length = duration(u)
+    steps = step_count(length, p[5])
+    h = length / steps
+    total, noise = so3.identity(6), np.zeros((6, 6))
+    for n in range(steps):
+        _add_step(relative_transition(p, t + n * h, t + (n + 1) * h), p, h, total, noise)
+    so3.put_vector(x_next, 0, so3.rotate(total, x))
     so3.put(F, 0, 0, total, 1.0)
     so3.put(Q, 0, 0, noise, 1.0)
     return 0
@@ -114,7 +130,6 @@ class EccentricRelativeMotion(DynamicsModel):
 
     kind: ClassVar[str] = "eccentric_relative_motion"
     noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
-    kernel = staticmethod(kernel)
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     orbit: KeplerOrbit
@@ -122,9 +137,12 @@ class EccentricRelativeMotion(DynamicsModel):
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
 
     @property
+    def kernel(self) -> Kernel:  # type: ignore[override]
+        return exact_kernel if self.gravity == "exact" else linear_kernel
+
+    @property
     def advances(self) -> tuple[Block, ...]:
         return RELATIVE_POSITION, RELATIVE_VELOCITY
 
     def constants(self) -> Array:
-        own = [self.acceleration_density, float(self.gravity == "exact"), self.max_step]
-        return np.concatenate([orbit_array(self.orbit), own])
+        return np.array([*orbit_array(self.orbit), self.acceleration_density, self.max_step])

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import jit, jit_inner
 from relnav_graph.errors import InputError
-from relnav_graph.models import DynamicsModel
+from relnav_graph.models import DynamicsModel, Kernel
 from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.state import (
     BODY_RATE,
@@ -23,26 +23,31 @@ from relnav_graph.state import (
 )
 from relnav_graph.units import Quantity
 
-from ._inertia import coefficients_of, euler_coefficients
+from ._inertia import coefficients_of, full_coefficients, principal_coefficients
 from ._rate_steps import published_step, rate_step, start_of
 from ._white_noise import add_integrated_white_noise, duration, step_count
 
 Array = NDArray[np.float64]
 
 
-@jit
-def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds; p[7] != 0: Euler's; p[8:26]:
-    A of a known inertia, where there is no k."""
+@jit_inner
+def _rotate(
+    p: Array,
+    t: float,
+    u: Array,
+    x: Array,
+    A: Array,
+    dA: Array,
+    x_next: Array,
+    F: Array,
+    Q: Array,
+) -> None:
+    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds; p[7] != 0: Euler's."""
     length = duration(u)
     steps = step_count(length, p[6])
     h = length / steps
     n = x.shape[0] - 6  # of the tangent
     R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), x[12:]
-    if k.shape[0] == 0:
-        A, dA = p[8:26].reshape(3, 6), np.zeros((0, 3, 6))
-    else:
-        A, dA = euler_coefficients(k)
     total, noise, step = so3.identity(n), np.zeros((n, n)), so3.identity(n)
     for _ in range(steps):
         before = start_of(w, n - 3)
@@ -74,6 +79,30 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     so3.put_vector(x_next, 12, k)
     so3.put(F, 0, 0, total, 1.0)
     so3.put(Q, 0, 0, noise, 1.0)
+
+
+@jit
+def principal_kernel(
+    p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array
+) -> int:
+    """Of a body about its principal axes, k (2,)."""
+    A, dA = principal_coefficients(x[12:])
+    _rotate(p, t, u, x, A, dA, x_next, F, Q)
+    return 0
+
+
+@jit
+def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """Of a body about any axes, k (5,)."""
+    A, dA = full_coefficients(x[12:])
+    _rotate(p, t, u, x, A, dA, x_next, F, Q)
+    return 0
+
+
+@jit
+def known_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """Of a body of known inertia, p[8:26] its A; there is no k."""
+    _rotate(p, t, u, x, p[8:26].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
     return 0
 
 
@@ -97,7 +126,6 @@ class EulerRotation(DynamicsModel):
     """
 
     kind: ClassVar[str] = "euler_rotation"
-    kernel = staticmethod(kernel)
 
     torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
     inertia_density: Annotated[float, Quantity("1/sqrt(s)", positive=True)] = 1e-8
@@ -117,6 +145,11 @@ class EulerRotation(DynamicsModel):
             moments = np.linalg.eigvalsh(0.5 * np.trace(J) * np.eye(3) - J)
             if not moments.min() > 0 or np.abs(J - J.T).max() > 1e-9 * np.abs(J).max():
                 raise InputError(f"{self.kind}.known_inertia: found {J.tolist()}: no body has it")
+
+    @property
+    def kernel(self) -> Kernel:  # type: ignore[override]
+        kernels = {"principal": principal_kernel, "full": full_kernel, "known": known_kernel}
+        return kernels[self.inertia]
 
     @property
     def noises(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -96,6 +96,34 @@ class _Callee:
 _CALLED: list[set[_Callee]] = []
 
 
+#: What is left to compile for the program, "module:name/compiler", next one last.
+_TASKS: list[str] = []
+
+
+def work(tasks: Iterable[str] = ()) -> None:
+    """Make things, each by calling a function of `relnav_graph.compiled` with it, in order."""
+    _TASKS[:0] = reversed(list(tasks))
+    while _TASKS:
+        _make(_TASKS.pop())
+
+
+def _make(task: str) -> None:
+    module, _, name = task.partition(":")
+    name, _, compiler = name.partition("/")
+    thing = getattr(import_module(module), name)
+    getattr(import_module("relnav_graph.compiled"), compiler)(thing)
+
+
+def _busy(path: Path) -> bool:
+    """Whether another process holds a file's lock."""
+    with suppress(OSError), path.open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Alone with a file among all processes; without one where it cannot be written."""
@@ -146,6 +174,10 @@ def _call_by_symbol(compiled: Any, vectorize: str) -> None:
             return compiled.overloads[arguments].entry_point
         text = f"{function.__module__}.{function.__qualname__}{arguments} {folder.name}"
         symbol = "relnav_" + hashlib.sha256(text.encode()).hexdigest()
+        # Who holds no lock may do something else in the meantime; who holds one, and waited
+        # for a lock on the way, might wait for itself.
+        while not _CALLED and _TASKS and _busy(folder / f"{symbol}.lock"):
+            _make(_TASKS.pop())
         with global_compiler_lock, _locked(folder / f"{symbol}.lock"):
             entry = compile_(signature)
         result = compiled.overloads[arguments]
@@ -169,13 +201,26 @@ def _call_by_symbol(compiled: Any, vectorize: str) -> None:
     compiled.get_overload = symbol_of
 
 
-def compiled_once(function: F, vectorize: str = "", **options: bool) -> F:
+def _refuse_python(compiled: Any) -> None:
+    """Have a function without a wrapper for Python say so, where a call would crash."""
+
+    def refuse(*values: Any, **keywords: Any) -> None:
+        raise TypeError(f"{compiled.py_func.__name__}: only compiled code can call it")
+
+    def add_overload(result: Any) -> None:
+        compiled.overloads[tuple(result.signature.args)] = result
+
+    compiled._compile_for_args, compiled.add_overload = refuse, add_overload
+
+
+def compiled_once(function: F, inner: bool = False, vectorize: str = "") -> F:
     """A function that numba compiles when it is first called, and keeps on disk.
 
-    vectorize: "loops", which takes long and only helps the long ones; "columns", neighbours that
-    the source writes out one by one; or nothing.
+    inner: only compiled code calls it. vectorize: "loops", which takes long and only helps the
+    long ones; "columns", neighbours that the source writes out one by one; or nothing.
     """
-    options |= {"error_model": "numpy", "no_cfunc_wrapper": True}  # type: ignore[dict-item]
+    options: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+    options["no_cpython_wrapper"] = inner
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
     try:
@@ -191,21 +236,15 @@ def compiled_once(function: F, vectorize: str = "", **options: bool) -> F:
         return template([types.unliteral(a) for a in arguments], keywords)
 
     compiled.get_call_template = of_types
+    if inner:
+        _refuse_python(compiled)
     if "<locals>" not in function.__qualname__:  # else no import finds it again
         _call_by_symbol(compiled, vectorize)
     return compiled  # type: ignore[no-any-return]
 
 
-#: What helpers run: make each of some things by calling a function of a module.
-_HELPER = """
-import sys
-from importlib import import_module
-for task in sys.argv[1:]:
-    module, _, name = task.partition(":")
-    name, _, compiler = name.partition("/")
-    thing = getattr(import_module(module), name)
-    getattr(import_module("relnav_graph.compiled"), compiler)(thing)
-"""
+#: What helpers run.
+_HELPER = "import sys; from relnav_graph.compilation import work; work(sys.argv[1:])"
 
 
 @cache
@@ -217,19 +256,19 @@ def _empty(folder: Path) -> bool:
 def compile_ahead(tasks: Iterable[str], sources: Iterable[str]) -> None:
     """Say so, and start helpers on the other cores, when `sources` were never compiled.
 
-    tasks: "module:name/compiler", in the order in which this process will want them. Each
-    helper begins elsewhere in that order, the first one at its end; what they have not done
-    when this process ends is left.
+    tasks: "module:name/compiler". Each helper begins elsewhere among them, the first one with
+    the first; what they have not done when this process ends is left.
     """
     folders = [folder for folder in map(cache_folder, sources) if _empty(folder)]
     if not folders:
         return
     _LOG.info("compiling the models, once; later runs take them from %s", folders[0])
-    backwards = list(tasks)[::-1]
+    order = list(tasks)
+    _TASKS[:] = order
     helpers = max(0, min(3, (os.cpu_count() or 1) - 1))
     for i in range(helpers):
-        start = i * len(backwards) // helpers
-        mine = backwards[start:] + backwards[:start]
+        start = i * len(order) // helpers
+        mine = order[start:] + order[:start]
         helper = subprocess.Popen(
             [sys.executable, "-c", _HELPER, *mine],
             env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},

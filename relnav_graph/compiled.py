@@ -24,15 +24,16 @@ __all__ = [
     "DYNAMICS_KERNEL",
     "SENSOR_KERNEL",
     "announce",
+    "call_dynamics",
+    "call_sensor",
     "dynamics_address",
-    "dynamics_at",
     "jit",
     "jit_as",
     "jit_columns",
+    "jit_inner",
     "jit_vector",
     "prepare",
     "sensor_address",
-    "sensor_at",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -60,22 +61,24 @@ DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MAT
 
 
 def jit(function: F) -> F:
-    """Compile `function` at its first call; for kernels and for what they call.
+    """Compile `function` at its first call; for kernels, and for what Python calls too."""
+    return compiled_once(function)
 
-    A private one can be called from compiled code only: its wrappers for Python would take
-    a tenth of the time that all compilation takes.
-    """
-    return compiled_once(function, no_cpython_wrapper=function.__name__.startswith("_"))
+
+def jit_inner(function: F) -> F:
+    """:func:`jit` for what compiled code alone calls: its wrapper for Python would take a
+    tenth of the time that all compilation takes."""
+    return compiled_once(function, inner=True)
 
 
 def jit_vector(function: F) -> F:
-    """:func:`jit` with loops over vectors, for long rows."""
-    return compiled_once(function, vectorize="loops")
+    """:func:`jit_inner` with loops over vectors, for long rows."""
+    return compiled_once(function, inner=True, vectorize="loops")
 
 
 def jit_columns(function: F) -> F:
-    """:func:`jit` with vectors made of what is written out for adjoining columns."""
-    return compiled_once(function, vectorize="columns")
+    """:func:`jit_inner` with vectors made of what is written out for adjoining columns."""
+    return compiled_once(function, inner=True, vectorize="columns")
 
 
 def _address(kernel: Any, signature: Any) -> int:
@@ -90,7 +93,7 @@ def _address(kernel: Any, signature: Any) -> int:
 
 @cache
 def sensor_address(kernel: Any) -> int:
-    """The machine code of a sensor's kernel, compiled if need be, for `sensor_at`.
+    """The machine code of a sensor's kernel, compiled if need be, for `call_sensor`.
 
     An address costs a loop nothing to take; a first-class function 15 us per call.
     Raises ModelError on a function that is not compiled or has another signature.
@@ -100,29 +103,44 @@ def sensor_address(kernel: Any) -> int:
 
 @cache
 def dynamics_address(kernel: Any) -> int:
-    """The machine code of a process model's kernel, for `dynamics_at`. Raises ModelError."""
+    """The machine code of a process model's kernel, for `call_dynamics`. Raises ModelError."""
     return _address(kernel, DYNAMICS_KERNEL)
 
 
-def _function_at(kind: types.FunctionType) -> Any:
-    """An intrinsic that turns an address into a first-class function of a type."""
+def _call(contract: Any) -> Callable[..., Any]:
+    """Code that calls the function of a contract at an address: (address, its arguments).
 
-    @intrinsic  # type: ignore[untyped-decorator]
-    def function_at(typing_context: Any, address: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            function = cgutils.create_struct_proxy(kind)(context, builder)
-            pointer = context.get_value_type(types.voidptr)
-            function.jit_addr = builder.inttoptr(arguments[0], pointer)
-            return function._getvalue()
+    Like numba's first-class functions, without their ways for addresses of other kinds, which
+    take longer to compile than all around them.
+    """
 
-        return kind(types.int64), generate
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        address, *arguments = values
+        types_ = contract.return_type, contract.args
+        pointer = context.call_conv.get_function_type(*types_).as_pointer()
+        function = builder.inttoptr(address, pointer)
+        status, out = context.call_conv.call_function(builder, function, *types_, arguments)
+        with cgutils.if_unlikely(builder, status.is_error):
+            context.call_conv.return_status_propagate(builder, status)
+        return out
 
-    return function_at
+    return generate
 
 
-#: Inside compiled code: the kernel at an address.
-sensor_at = _function_at(types.FunctionType(SENSOR_KERNEL))
-dynamics_at = _function_at(types.FunctionType(DYNAMICS_KERNEL))
+@intrinsic  # type: ignore[untyped-decorator]
+def call_sensor(
+    context: Any, address: Any, p: Any, q: Any, z: Any, x: Any, r: Any, H: Any
+) -> tuple[Any, Any]:
+    """Inside compiled code: what the sensor's kernel at an address does."""
+    return SENSOR_KERNEL.return_type(types.int64, *SENSOR_KERNEL.args), _call(SENSOR_KERNEL)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call_dynamics(
+    context: Any, address: Any, p: Any, t: Any, u: Any, x: Any, x_next: Any, F: Any, Q: Any
+) -> tuple[Any, Any]:
+    """Inside compiled code: what the process model's kernel at an address does."""
+    return DYNAMICS_KERNEL.return_type(types.int64, *DYNAMICS_KERNEL.args), _call(DYNAMICS_KERNEL)
 
 
 #: The loops of `jit_as` in the modules imported so far, "module:name".
@@ -165,6 +183,8 @@ def announce(sensors: Iterable[Any], processes: Iterable[Any]) -> None:
         (k, "sensor_address") for k in sensors
     ]
     known = [(k.py_func, compiler) for k, compiler in kernels if hasattr(k, "py_func")]
-    tasks = [f"{f.__module__}:{f.__name__}/{compiler}" for f, compiler in known]
-    tasks += [f"{loop}/prepare" for loop in _LOOPS]
+    # This process simulates first, then asks for the kernels, one by one: the helpers begin
+    # with the loops, which come last.
+    tasks = [f"{loop}/prepare" for loop in _LOOPS if ".sim." not in loop]
+    tasks += [f"{f.__module__}:{f.__name__}/{compiler}" for f, compiler in reversed(known)]
     compile_ahead(tasks, (f.__code__.co_filename for f, _ in known))

@@ -21,10 +21,10 @@ from relnav_graph.compiled import (
     MATRIX,
     STACK,
     VECTOR,
-    dynamics_at,
-    jit,
+    call_dynamics,
+    call_sensor,
     jit_as,
-    sensor_at,
+    jit_inner,
 )
 from relnav_graph.matrices import cholesky, product, solve_lower
 from relnav_graph.state import local, times_jacobian
@@ -66,19 +66,19 @@ BROKEN = {
 }
 
 
-@jit
+@jit_inner
 def _guarded(n: int) -> Array:
     """A buffer for n numbers with guards on both sides."""
     return np.full(n + 2 * GUARD, MARK)
 
 
-@jit
+@jit_inner
 def _reset(buffer: Array) -> None:
     for i in range(GUARD, buffer.shape[0] - GUARD):
         buffer[i] = np.nan
 
 
-@jit
+@jit_inner
 def _verdict(buffer: Array) -> int:
     """0, or what a kernel did wrong with a guarded buffer."""
     n = buffer.shape[0]
@@ -91,14 +91,20 @@ def _verdict(buffer: Array) -> int:
     return 0
 
 
-@jit
+@jit_inner
+def _matrix(numbers: Array, start: int, rows: int, columns: int) -> Array:
+    """The matrix whose rows stand in `numbers` from `start` on."""
+    return numbers[start : start + rows * columns].reshape(rows, columns)
+
+
+@jit_inner
 def _gather(x: Array, places: Indices, out: Array) -> None:
     """The stored values of some blocks of a state x (size,)."""
     for i in range(places.shape[0]):
         out[i] = x[places[i]]
 
 
-@jit
+@jit_inner
 def observe(
     sensors: Indices,
     observations: Indices,
@@ -139,13 +145,13 @@ def observe(
             x_one = np.empty(gather.shape[0])
             r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
             r_one = r_buffer[GUARD : GUARD + rows]
-            h_one = h_buffer[GUARD : GUARD + rows * n].reshape(rows, n)
-            kernel = sensor_at(sensor[ADDRESS])
+            h_one = _matrix(h_buffer, GUARD, rows, n)
+            address = sensor[ADDRESS]
         _reset(r_buffer)
         _reset(h_buffer)
         _gather(x[one[EPOCH] - epoch], gather, x_one)
         q, z = numbers[one[Q_DATA] : one[Q_DATA + 1]], numbers[one[Z_DATA] : one[Z_DATA + 1]]
-        status[i] = kernel(p, q, z, x_one, r_one, h_one)
+        status[i] = call_sensor(address, p, q, z, x_one, r_one, h_one)
         wrong = min(_verdict(r_buffer), _verdict(h_buffer))
         if wrong == OUTSIDE or (wrong == UNFILLED and status[i] == 0):
             status[i] = wrong
@@ -160,7 +166,7 @@ def observe(
                     H[start + a, columns[j]] += w * h_one[b, j]
 
 
-@jit
+@jit_inner
 def propagate(
     processes: Indices,
     intervals: Indices,
@@ -195,12 +201,10 @@ def propagate(
         _reset(f_buffer)
         _reset(q_buffer)
         x_out = x_buffer[GUARD : GUARD + size]
-        f_out = f_buffer[GUARD : GUARD + m * n].reshape(m, n)
-        q_out = q_buffer[GUARD : GUARD + m * m].reshape(m, m)
-        start, length = intervals[k, a, U_DATA], intervals[k, a, U_ROWS]
-        u = numbers[start : start + length * process[WIDTH]].reshape(length, process[WIDTH])
-        kernel = dynamics_at(process[ADDRESS])
-        status = kernel(p, starts[k], u, x_one, x_out, f_out, q_out)
+        f_out = _matrix(f_buffer, GUARD, m, n)
+        q_out = _matrix(q_buffer, GUARD, m, m)
+        u = _matrix(numbers, intervals[k, a, U_DATA], intervals[k, a, U_ROWS], process[WIDTH])
+        status = call_dynamics(process[ADDRESS], p, starts[k], u, x_one, x_out, f_out, q_out)
         wrong = min(_verdict(x_buffer), _verdict(f_buffer), _verdict(q_buffer))
         if wrong == OUTSIDE or (wrong == UNFILLED and status == 0):
             status = wrong
@@ -292,7 +296,7 @@ def whitening(
                     whiten[k, rows[i], rows[j]] = inverse[i, j] / scale[j]
 
 
-@jit
+@jit_inner
 def interval_row(
     x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
 ) -> None:

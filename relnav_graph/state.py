@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import jit, jit_inner
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.units import unit_scale
 
@@ -119,7 +119,7 @@ def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
     return out
 
 
-@jit
+@jit_inner
 def times_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) -> None:
     """``a = a J``, with the block-diagonal right Jacobian J (or its inverse) of the
     retraction at d: the identity but for attitudes."""
