@@ -1,10 +1,15 @@
-"""The problem of all comparisons: zhang2015, of any length; and how times are taken."""
+"""The problem of all comparisons: zhang2015_close, of any length; and how times are taken.
+
+The chaser of zhang2015 itself drifts away, 12 km in 20,000 epochs, where six points within a
+metre tell nothing any more.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +26,30 @@ from relnav_graph.sim import Timing, measure, stream
 from relnav_graph.track import Truth
 
 Array = NDArray[np.float64]
-SCENARIO = Path(__file__).parents[1] / "zhang2015.toml"
+SCENARIO = Path(__file__).parents[1] / "zhang2015_close.toml"
 #: What "the same optimum" means, in sigmas of every state.
 SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """A pass, where every solver starts (the smoothed filter), and where it should end."""
+    """A pass, and where every solver starts: the smoothed filter."""
 
     problem: Problem
     assembly: Assembly
     start: Array
     weights: Array
-    solution: Solution
-    sigma: Array
+
+    @cached_property
+    def solution(self) -> Solution:
+        """Where every solver should end, to rounding, far below `SAME`."""
+        return solve(self.assembly, self.problem.prior, self.start, self.weights, tolerance=0.0)
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Standard deviations of the optimum (N, n)."""
+        variances: Array = np.einsum("kii->ki", self.solution.conditionals.covariances())
+        return np.sqrt(variances)
 
     def distance(self, x: Array) -> float:
         """Largest component of x minus the optimum, in sigmas."""
@@ -43,7 +57,7 @@ class Pass:
 
 
 def scenario_of(epochs: int, *settings: str) -> Scenario:
-    """zhang2015 with so many epochs."""
+    """The scenario with so many epochs."""
     return load_scenario(SCENARIO, [f"time.epochs={epochs}", *settings])
 
 
@@ -54,14 +68,9 @@ def problem_of(epochs: int) -> Problem:
 
 
 def pass_of(problem: Problem) -> Pass:
-    """With its optimum, to far below `SAME`."""
+    """With the smoothed filter to start from."""
     done = filter_pass(problem, ITERATIONS)
-    start, weights = smooth(done, covariances=False)[0], done.weights
-    assembly = done.assembly
-    tolerance = 1e-8 * np.sqrt(len(start))  # of the step's length over all epochs together
-    found = solve(assembly, problem.prior, start, weights, tolerance=tolerance)
-    sigma = np.sqrt(np.einsum("kii->ki", found.conditionals.covariances()))
-    return Pass(problem, assembly, start, weights, found, sigma)
+    return Pass(problem, done.assembly, smooth(done, covariances=False)[0], done.weights)
 
 
 def first(problem: Problem, epochs: int) -> Problem:
@@ -71,9 +80,8 @@ def first(problem: Problem, epochs: int) -> Problem:
 
 def lazy_pass(epochs: int, chunk: int = 1000) -> tuple[Problem, Iterator[Epoch]]:
     """A pass of any length whose epochs are made when they are asked for: the problem with
-    the first chunk, and the rest. One second apart, so that its truth fits into memory."""
-    scenario = scenario_of(epochs, 'time.step="1 s"', 'inputs.gyro.period="1 s"')
-    bare = scenario_of(2, 'time.step="1 s"', 'inputs.gyro.period="1 s"')
+    the first chunk, and the rest."""
+    scenario, bare = scenario_of(epochs), scenario_of(2)
     everything: Any = replace(scenario, sensors={})
     recording = everything.simulate(0)
     truth = recording.truth

@@ -29,12 +29,13 @@ from relnav_graph.track import Status, Track
 #: What may go wrong on the way to a solution, when the problem is in order.
 UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
 
-#: A step of fewer sigmas is none.
-ROUNDING = 1e-7
+#: A step of fewer sigmas is none. Where rounding is more than that, as on long passes far from
+#: the target, it shows in steps that are small, in sigmas of a state, and stay as long.
+ROUNDING, SMALL, STALLED = 1e-7, 1e-3, 0.9
 #: Rounds of reweighting, at most, and the change of a weight's root that ends them.
 ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
 
-__all__ = ["UNSOLVED", "Batch", "Solution", "solve"]
+__all__ = ["UNSOLVED", "Batch", "Solution", "at_rounding", "solve"]
 
 Array = NDArray[np.float64]
 
@@ -91,6 +92,12 @@ class _Pass:
         return None if lost.any() or not np.isfinite(after.cost) else after
 
 
+def at_rounding(distance: float, before: float, states: int) -> bool:
+    """Whether the length of a Gauss-Newton step, in sigmas over all states together, is that
+    of rounding; before: the length of the one before."""
+    return distance < ROUNDING or STALLED * before < distance < SMALL * np.sqrt(states)
+
+
 def solve(
     assembly: Assembly,
     prior: Prior | Anchor,
@@ -105,9 +112,9 @@ def solve(
     Steps are Gauss-Newton's. In a narrow, bent valley a good one may raise the cost
     before the next lowers it, so two may (the watchdog of Chamberlain et al. 1982);
     then the best point so far is taken up again, with damping. tolerance: the length of
-    the last step, in sigmas over all states together. Noise that depends on the state is
-    taken at the first trajectory, so that the cost stays one function. Raises
-    EstimationError on a system without a solution.
+    the last step, in sigmas over all states together, where rounding allows it. Noise that
+    depends on the state is taken at the first trajectory, so that the cost stays one
+    function. Raises EstimationError on a system without a solution.
     """
     anchor = prior if isinstance(prior, Anchor) else anchor_of(prior)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
@@ -117,8 +124,8 @@ def solve(
     damping, ventured, distance, iteration = 0.0, 0, np.inf, 0
     while iteration < max_iterations:
         iteration += 1
-        distance = np.sqrt(2 * system.conditionals.decrease())
-        if distance < ROUNDING and damping == 0.0:
+        before, distance = distance, np.sqrt(2 * system.conditionals.decrease())
+        if damping == 0.0 and at_rounding(distance, before, system.conditionals.d.size):
             break
         after = the_pass.moved(system, conditionals.solution())
         # The cost is a sum of many squares: its own rounding is no reason to stop.
@@ -257,7 +264,7 @@ class Batch:
                 away = lost(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
                 status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
-                if solution.distance > 0.1:
+                if solution.distance > SMALL * np.sqrt(solution.conditionals.d.size):
                     status = "degraded"
                     stopped = f"not converged: last step {solution.distance:.2g} sigma"
                     message = f"{message}; {stopped}" if message else stopped

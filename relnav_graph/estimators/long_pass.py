@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
+from relnav_graph.estimators.batch import at_rounding
 from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
 from relnav_graph.estimators.gating import count_downweighted, count_rejected
 from relnav_graph.estimators.rts import smooth
@@ -65,8 +66,8 @@ def _parts(problem: Problem, epochs: Iterator[Epoch], size: int) -> Iterator[_Pa
 
 
 def _forward(parts: list[_Part]) -> tuple[float, float]:
-    """Give each part its anchor; the whole cost, and the squared length of the Gauss-Newton
-    step in sigmas."""
+    """Give each part its anchor; the whole cost, and the length of the Gauss-Newton step in
+    sigmas."""
     cost = squared = 0.0
     for part, after in zip(parts, [*parts[1:], None], strict=True):
         system = part.system()
@@ -78,7 +79,7 @@ def _forward(parts: list[_Part]) -> tuple[float, float]:
             after.x[0] = after.first[0] = part.x[-1]
             after.anchor = Anchor(part.x[-1].copy(), c.R[-1], c.d[-1])
             cost -= 0.5 * float(c.d[-1] @ c.d[-1])
-    return cost, squared
+    return cost, float(np.sqrt(squared))
 
 
 def _step(parts: list[_Part]) -> None:
@@ -106,14 +107,15 @@ def smooth_long_pass(
     cannot go through, or when Gauss-Newton does not converge.
     """
     parts = list(_parts(problem, chain(problem.epochs, more), part))
-    cost, squared = _forward(parts)
+    states = problem.layout.dim * sum(len(one.x) for one in parts)
+    (cost, distance), before = _forward(parts), np.inf
     for _ in range(max_iterations):
-        if squared < tolerance**2:
+        if distance < tolerance or at_rounding(distance, before, states):
             break
         _step(parts)
-        cost, squared = _forward(parts)
+        before, (cost, distance) = distance, _forward(parts)
     else:
-        raise EstimationError(f"not converged: last step {np.sqrt(squared):.2g} sigma")
+        raise EstimationError(f"not converged: last step {distance:.2g} sigma")
     if not np.isfinite(cost):
         raise EstimationError("the cost is not finite")
     P_end: Array | None = None
