@@ -75,10 +75,10 @@ def measure_batch(problem: Any, lengths: tuple[int, ...], lm: int, quick: bool) 
 def measure_isam2(problem: Any, length: int, at: int) -> tuple[dict[str, Any], Any]:
     """The rows of isam2, and the time of each step."""
     own = first(problem, length)
-    took, last = online.run_isam2(own)
+    took, growth, last = online.run(online.isam2, own)
     naive = online.naive_step(pass_of(first(problem, at + 20)), at)
     rows = {
-        "growth": online.growth(took),
+        "growth": growth,
         "faster_than_naive": naive / online.our_step(problem, at),
         "sigma_from_batch": online.sigma_from_batch(pass_of(own), last),
     }
@@ -88,8 +88,8 @@ def measure_isam2(problem: Any, length: int, at: int) -> tuple[dict[str, Any], A
 
 def measure_fixed_lag(problem: Any) -> tuple[dict[str, float], Any]:
     """The rows of fixed_lag, and the time of each step."""
-    took = online.run_fixed_lag(problem)
-    rows = {"growth": online.growth(took), "p99_over_median": online.tail(took)}
+    took, growth, _ = online.run(online.fixed_lag, problem)
+    rows = {"growth": growth, "p99_over_median": online.tail(took)}
     say(f"fixed_lag, {len(took)} epochs: {1e3 * np.median(took):.2f} ms per step; {rows}")
     return rows, took
 
@@ -98,18 +98,19 @@ def draw(path: Path, per_epoch: dict[int, float], steps: dict[str, Any]) -> None
     """Cost against length, both axes logarithmic. steps: times of each step by estimator."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 4.5))
+    figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     for name, took in steps.items():
-        epochs = range(10, len(took), 10)
+        epochs = np.unique(np.geomspace(10, len(took), 60).astype(int))
         around = [1e6 * online.around(took, k) for k in epochs]
-        axes.loglog(epochs, around, label=f"{name}, one step")
-    axes.loglog(
-        list(per_epoch), [1e6 * t for t in per_epoch.values()], "o-", label="batch, one iteration"
-    )
-    axes.set_xlabel("epochs")
-    axes.set_ylabel("time per epoch, us")
-    axes.grid(which="both", alpha=0.3)
+        axes.loglog(epochs, around, label=f"{name}: one step, median of 200")
+    times = [1e6 * t for t in per_epoch.values()]
+    axes.loglog(list(per_epoch), times, "o-", label="batch: one iteration, per epoch")
+    axes.set_ylim(10, None)
+    axes.set_xlabel("length of the pass, epochs")
+    axes.set_ylabel("time, us")
+    axes.grid(which="major", alpha=0.4)
+    axes.grid(which="minor", alpha=0.15)
     axes.legend()
     figure.savefig(path, dpi=150)
 

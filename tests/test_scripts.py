@@ -101,7 +101,9 @@ def test_window_accuracy_is_a_fraction_of_a_sigma(
 def test_benchmark_compares_everything(tmp_path: Path) -> None:
     """At a tiny size, where the figures mean nothing; that solvers agree does."""
     figure = tmp_path / "cost.png"
-    found = _script("benchmark").main(True, figure, (20, 30), 20, 40, 20, cold=False)
+    script = _script("benchmark")
+    found = script.main(True, figure, (20, 30), 20, 40, 20, cold=False)
+    assert set(script.measure_fixed_lag(script.problem_of(40))[0]) == set(found["fixed_lag"])
     assert set(found) == {"batch", "isam2", "fixed_lag", "start"}
     assert found["batch"]["faster_than"]["gtsam_lm"] > 0  # None unless at the same optimum
     assert found["isam2"]["sigma_from_batch"] < 0.1

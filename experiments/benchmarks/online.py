@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import gtsam
@@ -16,31 +18,54 @@ from relnav_graph.estimators.online import online
 from relnav_graph.problem import Problem
 
 from .batch import key_of, typed_factors, typed_values
-from .passes import Pass, first
+from .passes import Pass, first, seconds
 
 Array = NDArray[np.float64]
 
 
-def run_isam2(problem: Problem) -> tuple[Array, Array]:
-    """Time of each step, s, and the last epoch's estimate (size,), before any finish."""
+#: One step of an estimator, which gives the newest estimate (size,); k: the epoch.
+Step = Callable[[int], Array]
+
+
+def isam2(problem: Problem) -> Step:
+    """`isam2` over the epochs of a problem."""
     smoother, assembly = IncrementalSmoother(problem, 1.3), Assembly.of(problem)
-    took = np.empty(len(problem.epochs))
-    for k, epoch in enumerate(problem.epochs):
-        begun = time.perf_counter()
-        smoother.step(epoch, assembly.at(k))
-        took[k] = time.perf_counter() - begun
-    return took, smoother.x
+    return lambda k: smoother.step(problem.epochs[k], assembly.at(k))[0]
 
 
-def run_fixed_lag(problem: Problem) -> Array:
-    """Time of each step of `fixed_lag`, with its window of 30 epochs, s."""
+def fixed_lag(problem: Problem) -> Step:
+    """`fixed_lag`, with its window of 30 epochs, over the epochs of a problem."""
     one = online("fixed_lag", replace(problem, epochs=()))
-    took = np.empty(len(problem.epochs))
-    for k, epoch in enumerate(problem.epochs):
+
+    def step(k: int) -> Array:
+        one.step(problem.epochs[k])
+        return one.x
+
+    return step
+
+
+def run(estimator: Callable[[Problem], Step], problem: Problem) -> tuple[Array, float, Array]:
+    """Time of each step, s; the growth; and the last epoch's estimate (size,).
+
+    Growth: a step at the end in units of one at epoch 500, or at half a shorter pass, medians
+    of steps that two estimators make in turns.
+    """
+    count = len(problem.epochs)
+    early = min(500, count // 2)
+    late, again = estimator(problem), estimator(problem)
+    turns = min(200, early // 2)
+    took, pairs = np.empty(count), np.empty(turns)
+    for k in range(early - turns):
+        again(k)
+    for k in range(count - turns):
+        took[k] = seconds(partial(late, k))
+    for i in range(turns):
+        k = count - turns + i
         begun = time.perf_counter()
-        one.step(epoch)
+        x = late(k)
         took[k] = time.perf_counter() - begun
-    return took
+        pairs[i] = seconds(partial(again, early - turns + i))
+    return took, float(np.median(took[-turns:]) / np.median(pairs)), x
 
 
 def tail(took: Array) -> float:
@@ -52,11 +77,6 @@ def tail(took: Array) -> float:
 def around(took: Array, epoch: int) -> float:
     """Median step of the 200 epochs before one."""
     return float(np.median(took[max(epoch - 200, 0) : epoch]))
-
-
-def growth(took: Array) -> float:
-    """Step at the end in units of the step at epoch 500, or at half a shorter pass."""
-    return around(took, len(took)) / around(took, min(500, len(took) // 2))
 
 
 def sigma_from_batch(p: Pass, last: Array) -> float:
@@ -96,4 +116,5 @@ def naive_step(p: Pass, epoch: int, steps: int = 10) -> float:
 
 def our_step(problem: Problem, epoch: int) -> float:
     """Median step, s, of `isam2` at an epoch."""
-    return around(run_isam2(first(problem, epoch + 10))[0], epoch + 10)
+    step = isam2(first(problem, epoch + 10))
+    return around(np.array([seconds(partial(step, k)) for k in range(epoch + 10)]), epoch + 10)

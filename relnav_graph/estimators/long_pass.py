@@ -88,7 +88,8 @@ def _step(parts: list[_Part]) -> None:
     for part in reversed(parts):
         system = part.system()
         step = system.conditionals.solution(end)
-        part.x, end = part.assembly.layout.retract(system.x, step), step[0]
+        # In place: new arrays that stay, among large ones that go, would tear the memory up.
+        part.x[:], end = part.assembly.layout.retract(system.x, step), step[0]
 
 
 def smooth_long_pass(
