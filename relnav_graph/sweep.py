@@ -257,16 +257,21 @@ def linearize(
     weight: Array,
     damping: Array | None = None,
     keep: bool = False,
+    into: Conditionals | None = None,
 ) -> System:
     """Linearise at the trajectory x (N, size) and eliminate.
 
     whiten (N - 1, n, n): of the process noise; weight: of the observations; damping
-    (N, n): diagonals of further rows d_k ~ 0; keep: what was known at each epoch.
+    (N, n): diagonals of further rows d_k ~ 0; keep: what was known at each epoch; into: of a
+    pass of this length, and needed no more: fresh memory costs a long pass a third.
     Raises ModelError or GeometryError when a model cannot be evaluated, EstimationError when
     the system is not finite or does not determine every epoch.
     """
     count, n = len(x), assembly.layout.dim
-    R, S, d = np.empty((count, n, n)), np.empty((count - 1, n, n)), np.empty((count, n))
+    if into is None:
+        R, S = np.empty((count, n, n)), np.empty((count - 1, n, n))
+        into = Conditionals(R, S, np.empty((count, n)))
+    R, S, d = into.R, into.S, into.d
     status, cost = np.zeros(assembly.observations, dtype=np.int64), np.zeros(1)
     known, failure = np.zeros((count * keep, n, n + 1)), np.zeros(3, dtype=np.int64)
     _sweep(
@@ -288,4 +293,4 @@ def linearize(
         raise EstimationError(
             f"the factor graph does not determine {', '.join(bad)} at t = {assembly.times[k]} s"
         )
-    return System(x, float(cost[0]), status, Conditionals(R, S, d), known)
+    return System(x, float(cost[0]), status, into, known)

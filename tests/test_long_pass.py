@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -37,3 +38,18 @@ def test_parts_give_what_batch_gives(problem: object, part: int) -> None:
     sigma = sigmas(batch.P)
     assert np.abs(differences(whole.layout, batch.x, x) / sigma).max() < 1e-3
     assert np.abs((P - batch.P) / (sigma[:, :, None] * sigma[:, None, :])).max() < 1e-3
+
+
+def test_memory_grows_by_little_more_than_the_trajectory() -> None:
+    """2 kB per epoch; a matrix kept by accident would be 3 kB more."""
+    scenario = load_scenario(ZHANG, ["time.epochs=1500"])
+    problem = scenario.problem(scenario.simulate(0), 0)
+    peaks = []
+    for count in (500, 1500):
+        first = replace(problem, epochs=problem.epochs[:1])
+        tracemalloc.start()
+        for _ in smooth_long_pass(first, iter(problem.epochs[1:count]), part=50):
+            pass
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert (peaks[1] - peaks[0]) / 1000 < 3000

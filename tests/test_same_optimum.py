@@ -249,3 +249,17 @@ def test_isam2_is_close_to_batch_over_what_it_has_seen(last: int) -> None:
     track = run_estimator("isam2", problem)  # later epochs do not change what it said then
     assert np.abs(problem.layout.local(batch.x[last], track.x[last]) / sigma).max() < 0.05
     np.testing.assert_allclose(sigmas(track.P)[last], sigma, rtol=0.02)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_optimum_is_where_rounding_is(seed: int) -> None:
+    """Not where the rounded cost is least by chance, 3e-6 sigma away; and no step is made
+    after it."""
+    scenario = load_scenario(ZHANG.with_name("zhang2015_close.toml"), ["time.epochs=300"])
+    problem = scenario.problem(scenario.simulate(seed), seed)
+    done = filter_pass(problem, 20)
+    x = smooth(done, covariances=False)[0]
+    found = solve(done.assembly, problem.prior, x, done.weights, tolerance=0.0)
+    assert found.iterations < 10
+    sigma = sigmas(found.conditionals.covariances())
+    assert np.abs(found.conditionals.solution() / sigma).max() < 5e-7

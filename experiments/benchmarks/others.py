@@ -123,7 +123,7 @@ def faster_than_scipy(p: Pass) -> tuple[float | None, float]:
             gtol=1e-15,
             tr_solver="lsmr",
             tr_options={"atol": 1e-15, "btol": 1e-15, "maxiter": 100, "regularize": False},
-            max_nfev=20,
+            max_nfev=40,
         )
         found.append(factor.solve(result.x))
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -32,6 +32,8 @@ UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
 #: A step of fewer sigmas is none. Where rounding is more than that, as on long passes far from
 #: the target, it shows in steps that are small, in sigmas of a state, and stay as long.
 ROUNDING, SMALL, STALLED = 1e-7, 1e-3, 0.9
+#: The cost is a sum of many squares, each rounded: no reason to stop, or to prefer one before.
+COST_ROUNDING = 1e-10
 #: Rounds of reweighting, at most, and the change of a weight's root that ends them.
 ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
 
@@ -59,15 +61,28 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """A pass with everything but the trajectory decided."""
+    """A pass with everything but the trajectory decided.
+
+    made: the conditionals of all systems so far, to be filled again.
+    """
 
     assembly: Assembly
     anchor: Anchor
     whiten: Array
     weights: Array
+    made: list[Conditionals] = field(default_factory=list)
 
-    def at(self, x: Array, damping: Array | None = None) -> System:
-        return linearize(self.assembly, self.anchor, x, self.whiten, self.weights, damping)
+    def at(self, x: Array, needed: Sequence[System] = (), damping: Array | None = None) -> System:
+        """The system at x; of those before, only the needed ones are still good after it."""
+        kept = [system.conditionals for system in needed]
+        free = [c for c in self.made if all(c is not one for one in kept)]
+        models = self.assembly, self.anchor
+        system = linearize(
+            *(*models, x, self.whiten, self.weights, damping), into=free[0] if free else None
+        )
+        if not free:
+            self.made.append(system.conditionals)
+        return system
 
     def damped(self, system: System, damping: float) -> Conditionals:
         """The same system with Levenberg's rows, in units of each state's own sigma.
@@ -76,16 +91,16 @@ class _Pass:
         directions, which many states share: there a state's own sigma is large.
         """
         variances = np.einsum("kii->ki", system.conditionals.covariances())
-        return self.at(system.x, np.sqrt(damping / variances)).conditionals
+        return self.at(system.x, [system], np.sqrt(damping / variances)).conditionals
 
-    def moved(self, system: System, step: Array) -> System | None:
-        """The system after a step; None where it cannot be.
+    def moved(self, system: System, step: Array, best: System) -> System | None:
+        """The system after a step; None where it cannot be. Leaves system and best alone.
 
         An observation that the step makes impossible must not pass for one that fits.
         """
         x = self.assembly.layout.retract(system.x, step)
         try:
-            after = self.at(x)
+            after = self.at(x, [system, best])
         except (GeometryError, ModelError, EstimationError):
             return None
         lost = (after.status > 0) & (system.status == 0)
@@ -127,9 +142,8 @@ def solve(
         before, distance = distance, np.sqrt(2 * system.conditionals.decrease())
         if damping == 0.0 and at_rounding(distance, before, system.conditionals.d.size):
             break
-        after = the_pass.moved(system, conditionals.solution())
-        # The cost is a sum of many squares: its own rounding is no reason to stop.
-        better = after is not None and after.cost <= best.cost * (1 + 1e-12)
+        after = the_pass.moved(system, conditionals.solution(), best)
+        better = after is not None and after.cost <= best.cost * (1 + COST_ROUNDING)
         if after is not None and (better or (damping == 0.0 and ventured < 2)):
             system = after
             ventured = 0 if better else ventured + 1

@@ -77,7 +77,7 @@ def _forward(parts: list[_Part]) -> tuple[float, float]:
         cost += system.cost
         if after is not None:  # its first row repeats this one's last
             after.x[0] = after.first[0] = part.x[-1]
-            after.anchor = Anchor(part.x[-1].copy(), c.R[-1], c.d[-1])
+            after.anchor = Anchor(part.x[-1].copy(), c.R[-1].copy(), c.d[-1].copy())
             cost -= 0.5 * float(c.d[-1] @ c.d[-1])
     return cost, float(np.sqrt(squared))
 
