@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -83,12 +84,15 @@ def key_of(p: Pass, k: int, i: int) -> int:
     return int(gtsam.symbol("abcdefghijkl"[i], k))
 
 
-def typed_factors(p: Pass, k: int) -> gtsam.NonlinearFactorGraph:
+def typed_factors(p: Pass, k: int, apart: bool = False) -> gtsam.NonlinearFactorGraph:
     """Our factors of epoch k, and of the interval that leads to it, over GTSAM's own
-    variables, one for each block."""
+    variables, one for each block. apart: one factor for each beacon."""
     q, out = p.problem, gtsam.NonlinearFactorGraph()
     place = {b.name: i for i, b in enumerate(q.layout)}
-    for m in q.epochs[k].measurements:
+    seen = list(q.epochs[k].measurements)
+    if apart:
+        seen = [replace(m, ids=m.ids[[i]], z=m.z[[i]]) for m in seen for i in range(len(m.z))]
+    for m in seen:
         sensor = q.sensors[m.sensor]
         keys = [key_of(p, k, place[b.name]) for b in sensor.reads]
         out.add(graph.measurement_factor(sensor, m, keys))
