@@ -8,7 +8,11 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from relnav_graph import so3
+from relnav_graph.matrices import product
 
 #: Prints what f(9) gives, then the functions that were compiled for it.
 PROGRAM = """
@@ -112,3 +116,12 @@ def test_a_cache_that_cannot_be_written_is_done_without(package: Path) -> None:
     (package / "cache").write_text("a file, no folder")
     value, *_ = result(start(package, PROGRAM))
     assert float(value) == 9.0
+
+
+def test_python_may_not_call_what_has_no_wrapper() -> None:
+    """It would crash; before and after compiled code has called it."""
+    one = np.eye(3)
+    for _ in range(2):
+        with pytest.raises(TypeError, match="product: only compiled code can call it"):
+            product(one, one, one)
+        np.testing.assert_array_equal(so3.multiply(one, one), one)
