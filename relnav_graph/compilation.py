@@ -21,7 +21,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
@@ -35,7 +35,7 @@ from numba import types
 from numba.core import sigutils
 from numba.core.compiler_lock import global_compiler_lock
 
-__all__ = ["cache_folder", "compile_ahead", "compiled_once"]
+__all__ = ["cache_folder", "compile_ahead", "compiled_once", "work"]
 
 _LOG = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
@@ -94,15 +94,14 @@ class _Callee:
 
 #: What the functions that are being compiled call, innermost last.
 _CALLED: list[set[_Callee]] = []
-
-
-#: What is left to compile for the program, "module:name/compiler", next one last.
+#: What this process compiles when it has nothing better to do, "module:name/compiler", the
+#: next one last.
 _TASKS: list[str] = []
 
 
-def work(tasks: Iterable[str] = ()) -> None:
+def work(tasks: list[str]) -> None:
     """Make things, each by calling a function of `relnav_graph.compiled` with it, in order."""
-    _TASKS[:0] = reversed(list(tasks))
+    _TASKS[:] = tasks[::-1]
     while _TASKS:
         _make(_TASKS.pop())
 
@@ -127,13 +126,11 @@ def _busy(path: Path) -> bool:
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Alone with a file among all processes; without one where it cannot be written."""
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield
-        return
-    yield
+    with ExitStack() as stack:
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(stack.enter_context(path.open("w")), fcntl.LOCK_EX)
+        yield
 
 
 @contextmanager
@@ -253,22 +250,22 @@ def _empty(folder: Path) -> bool:
     return next(folder.rglob("*.nbi"), None) is None  # numba makes the folder at import
 
 
-def compile_ahead(tasks: Iterable[str], sources: Iterable[str]) -> None:
+def compile_ahead(tasks: list[str], sources: Iterable[str]) -> None:
     """Say so, and start helpers on the other cores, when `sources` were never compiled.
 
     tasks: "module:name/compiler". Each helper begins elsewhere among them, the first one with
-    the first; what they have not done when this process ends is left.
+    the first; this process does some too, from the last one on, while it waits for a helper.
+    What has not been done when it ends is left.
     """
     folders = [folder for folder in map(cache_folder, sources) if _empty(folder)]
     if not folders:
         return
     _LOG.info("compiling the models, once; later runs take them from %s", folders[0])
-    order = list(tasks)
-    _TASKS[:] = order
+    _TASKS[:] = tasks
     helpers = max(0, min(3, (os.cpu_count() or 1) - 1))
     for i in range(helpers):
-        start = i * len(order) // helpers
-        mine = order[start:] + order[:start]
+        start = i * len(tasks) // helpers
+        mine = tasks[start:] + tasks[:start]
         helper = subprocess.Popen(
             [sys.executable, "-c", _HELPER, *mine],
             env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},
