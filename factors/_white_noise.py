@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph import so3
 from relnav_graph.compiled import jit_inner
 
 Array = NDArray[np.float64]
@@ -37,3 +38,12 @@ def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) ->
         Q[i, 3 + i] += variance * h**2 / 2
         Q[3 + i, i] += variance * h**2 / 2
         Q[3 + i, 3 + i] += variance * h
+
+
+@jit_inner
+def add_step(step: Array, variance: float, h: float, F: Array, Q: Array) -> None:
+    """Bring the sensitivity F and the noise Q of what came before to the end of a step of h
+    seconds, whose first three values are driven as in `add_integrated_white_noise`."""
+    so3.put(F, 0, 0, so3.multiply(step, F), 1.0)
+    so3.put(Q, 0, 0, so3.propagate_covariance(step, Q), 1.0)
+    add_integrated_white_noise(Q, 0, variance, h)

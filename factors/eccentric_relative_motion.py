@@ -15,7 +15,7 @@ from relnav_graph.orbit import KeplerOrbit, chief_motion, orbit_array, relative_
 from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
 from relnav_graph.units import Quantity
 
-from ._white_noise import add_integrated_white_noise, duration, step_count
+from ._white_noise import add_step, duration, step_count
 
 Array = NDArray[np.float64]
 
@@ -76,14 +76,6 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
     return end_x, end_d
 
 
-@jit_inner
-def _add_step(step: Array, p: Array, h: float, F: Array, Q: Array) -> None:
-    """Sensitivity F and noise Q of what came before, brought to the end of a step."""
-    so3.put(F, 0, 0, so3.multiply(step, F), 1.0)
-    so3.put(Q, 0, 0, so3.propagate_covariance(step, Q), 1.0)
-    add_integrated_white_noise(Q, 0, p[4] ** 2, h)
-
-
 @jit
 def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r_tc_o, r_tc_o'). Steps of at most p[5] seconds."""
@@ -93,7 +85,7 @@ def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     state, total, noise = x, so3.identity(6), np.zeros((6, 6))
     for n in range(steps):
         state, step = exact_step(p, t + n * h, h, state)
-        _add_step(step, p, h, total, noise)
+        add_step(step, p[4] ** 2, h, total, noise)
     so3.put_vector(x_next, 0, state)
     so3.put(F, 0, 0, total, 1.0)
     so3.put(Q, 0, 0, noise, 1.0)
@@ -108,7 +100,8 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     h = length / steps
     total, noise = so3.identity(6), np.zeros((6, 6))
     for n in range(steps):
-        _add_step(relative_transition(p, t + n * h, t + (n + 1) * h), p, h, total, noise)
+        step = relative_transition(p, t + n * h, t + (n + 1) * h)
+        add_step(step, p[4] ** 2, h, total, noise)
     so3.put_vector(x_next, 0, so3.rotate(total, x))
     so3.put(F, 0, 0, total, 1.0)
     so3.put(Q, 0, 0, noise, 1.0)

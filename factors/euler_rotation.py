@@ -25,7 +25,7 @@ from relnav_graph.units import Quantity
 
 from ._inertia import coefficients_of, full_coefficients, principal_coefficients
 from ._rate_steps import published_step, rate_step, start_of
-from ._white_noise import add_integrated_white_noise, duration, step_count
+from ._white_noise import add_step, duration, step_count
 
 Array = NDArray[np.float64]
 
@@ -68,9 +68,7 @@ def _rotate(
                 step[i, j] = 0.0
                 for l in range(3):
                     step[i, j] += bend[i, l] * turn[l, j - 2]
-        total = so3.multiply(step, total)
-        noise = so3.propagate_covariance(step, noise)
-        add_integrated_white_noise(noise, 0, p[4] ** 2, h)
+        add_step(step, p[4] ** 2, h, total, noise)
         for i in range(6, n):
             noise[i, i] += p[5] ** 2 * h
     R_ot = so3.multiply(frame_rotation(p, t, t + length), R_ot)
