@@ -110,7 +110,13 @@ class _Pass:
 def at_rounding(distance: float, before: float, states: int) -> bool:
     """Whether the length of a Gauss-Newton step, in sigmas over all states together, is that
     of rounding; before: the length of the one before."""
-    return distance < ROUNDING or STALLED * before < distance < SMALL * np.sqrt(states)
+    stalled = distance > STALLED * before and _is_small(distance, states)
+    return distance < ROUNDING or stalled
+
+
+def _is_small(distance: float, states: int) -> bool:
+    """Whether a step of that length over all states together is small for each."""
+    return distance < SMALL * float(np.sqrt(states))
 
 
 def solve(
@@ -278,7 +284,7 @@ class Batch:
                 away = lost(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
                 status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
-                if solution.distance > SMALL * np.sqrt(solution.conditionals.d.size):
+                if not _is_small(solution.distance, solution.conditionals.d.size):
                     status = "degraded"
                     stopped = f"not converged: last step {solution.distance:.2g} sigma"
                     message = f"{message}; {stopped}" if message else stopped
