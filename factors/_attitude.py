@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
@@ -23,7 +23,7 @@ QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 UNIT = 1e-3
 
 
-@jit_inner
+@jit
 def attitude_residual(q_wxyz: Array, predicted: Array, r: Array) -> Array:
     """Fill r (3,) with Log(R_measured^T R_predicted), rad; returns its inverse right
     Jacobian (3, 3): dr / d(right perturbation of the prediction). q and -q are the same."""

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.units import Quantity
 
@@ -24,7 +24,7 @@ def decay(length: float, time_constant: float, sigma: float) -> tuple[float, flo
     return kept, -sigma * sigma * np.expm1(-2 * length / time_constant)
 
 
-@jit_inner
+@jit
 def walk_and_integral(length: float, time_constant: float) -> tuple[float, float, float, float]:
     """Of b' = -b / T + unit white noise over h seconds: what b keeps; the time for which its
     first value counts in its integral; the variances of b and of the integral. The

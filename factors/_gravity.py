@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 
 from ._white_noise import add_integrated_white_noise, step_count
@@ -29,7 +29,7 @@ def earth_field(degree: int) -> Array:
     return np.array([MU_EARTH, EARTH_RADIUS, *zonal])
 
 
-@jit_inner
+@jit
 def _legendre(s: float) -> tuple[Array, Array]:
     """First and second derivatives of the Legendre polynomials P_0 to P_5 at s, (6,)."""
     first, second = np.zeros(6), np.zeros(6)
@@ -96,7 +96,7 @@ def gravity_difference(p: Array, r_c: Array, r_tc: Array) -> tuple[Array, Array,
     return out, G_t, so3.add(G_c, G_t, -1.0)
 
 
-@jit_inner
+@jit
 def _derivative(p: Array, y: Array) -> tuple[Array, Array]:
     """y' and its Jacobian. y ends with (r_c, v_c) of one craft; (r_tc, v_tc), its position
     and velocity relative to another, may stand before."""
@@ -118,7 +118,7 @@ def _derivative(p: Array, y: Array) -> tuple[Array, Array]:
     return out, jacobian
 
 
-@jit_inner
+@jit
 def orbit_step(p: Array, y: Array, h: float) -> tuple[Array, Array]:
     """y after one Runge-Kutta step of h seconds, and the step's own Jacobian.
 
@@ -136,7 +136,7 @@ def orbit_step(p: Array, y: Array, h: float) -> tuple[Array, Array]:
     return end_y, end_d
 
 
-@jit_inner
+@jit
 def coast(
     p: Array, y: Array, S: Array, Q: Array, length: float, longest: float, walk: float, white: float
 ) -> tuple[Array, Array, Array]:

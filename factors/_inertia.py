@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit, jit_wrapped
 from relnav_graph.state import TRACELESS
 
 Array = NDArray[np.float64]
 
 
-@jit
+@jit_wrapped
 def principal_ratios(k: Array) -> tuple[Array, Array]:
     """l = tanh(k_x, k_y, -(k_x + k_y)), (3,), and its Jacobian to (k_x, k_y), (3, 2)."""
     l, jacobian = np.empty(3), np.zeros((3, 2))
@@ -23,7 +23,7 @@ def principal_ratios(k: Array) -> tuple[Array, Array]:
     return l, jacobian
 
 
-@jit_inner
+@jit
 def _exponential(S: Array) -> tuple[Array, Array]:
     """exp(S) of a symmetric (3, 3) matrix and its derivatives along `TRACELESS`, (5, 3, 3):
     Taylor's series of S / 2^m, differentiated term by term, then squared m times."""
@@ -54,7 +54,7 @@ def _exponential(S: Array) -> tuple[Array, Array]:
     return out, d_out
 
 
-@jit_inner
+@jit
 def _inertia_of(density: Array) -> Array:
     """J = tr(D) I - D of the second moments D of the mass, (3, 3)."""
     out = so3.add(np.zeros((3, 3)), density, -1.0)
@@ -80,7 +80,7 @@ def inertia_matrix(k: Array) -> tuple[Array, Array]:
     return _inertia_of(density), d_inertia
 
 
-@jit_inner
+@jit
 def _inverse(J: Array) -> Array:
     """Of a symmetric positive definite (3, 3) matrix, by cofactors."""
     out, determinant = np.empty((3, 3)), 0.0
@@ -94,7 +94,7 @@ def _inverse(J: Array) -> Array:
     return out / determinant
 
 
-@jit_inner
+@jit
 def _gyroscopic(J: Array) -> Array:
     """C (3, 6) with w x J w = C (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y)."""
     out = np.zeros((3, 6))
@@ -112,7 +112,7 @@ def coefficients_of(J: Array) -> Array:
     return so3.add(np.zeros((3, 6)), so3.multiply(_inverse(J), _gyroscopic(J)), -1.0)
 
 
-@jit_inner
+@jit
 def principal_coefficients(k: Array) -> tuple[Array, Array]:
     """A (3, 6) with w' = A (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y) for a body
     without torque about its principal axes, w_x' = l_x w_y w_z, and its derivatives to k (2,),
@@ -126,7 +126,7 @@ def principal_coefficients(k: Array) -> tuple[Array, Array]:
     return A, slope
 
 
-@jit_inner
+@jit
 def full_coefficients(k: Array) -> tuple[Array, Array]:
     """What `principal_coefficients` gives, of the full matrix, A = -J^-1 C, and k (5,)."""
     J, dJ = inertia_matrix(k)

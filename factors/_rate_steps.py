@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit_inner
+from relnav_graph.compiled import jit
 
 Array = NDArray[np.float64]
 
 
-@jit_inner
+@jit
 def start_of(w: Array, n: int) -> Array:
     """The rate w (3,) at the start of a step, with its Jacobian to itself: (3, 1 + n)."""
     out = np.zeros((3, 1 + n))
@@ -22,7 +22,7 @@ def start_of(w: Array, n: int) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def euler_acceleration(w: Array, A: Array, dA: Array, out: Array) -> None:
     """w' of a torque-free body from w, both with Jacobians, (3, 1 + n). A, dA: see
     `factors._inertia.principal_coefficients`."""
@@ -42,7 +42,7 @@ def euler_acceleration(w: Array, A: Array, dA: Array, out: Array) -> None:
             out[i, 4 + m] += squares + C[3] * y * z + C[4] * z * x + C[5] * x * y
 
 
-@jit_inner
+@jit
 def rate_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
     """One Runge-Kutta step of the rate: w and turn over h seconds, with their Jacobians,
     (3, 1 + n) each, which are exact for the step as computed.
@@ -79,7 +79,7 @@ def rate_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
     return w1, turn
 
 
-@jit_inner
+@jit
 def published_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
     """One Euler step, as Hu et al. 2019 predict; takes and gives what `rate_step` does.
 

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 
 Array = NDArray[np.float64]
 #: What a status of 1 of :func:`sphere_residual` means.
 OPPOSITE = 1
 
 
-@jit_inner
+@jit
 def direction(p: Array, jacobian: Array) -> tuple[Array, float]:
     """Unit vector (3,) along p (3,), and its length. jacobian: of p, (3, n); becomes that of
     the unit vector."""
@@ -28,7 +28,7 @@ def direction(p: Array, jacobian: Array) -> tuple[Array, float]:
     return b, distance
 
 
-@jit_inner
+@jit
 def tangent_basis(b: Array) -> Array:
     """Two unit vectors across the unit vector b, as the columns of a (3, 2) matrix."""
     smallest = 0
@@ -60,7 +60,7 @@ def turned(lines: Array, e: Array) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def sphere_residual(z: Array, b: Array, db: Array, row: int, r: Array, H: Array) -> int:
     """Fill two rows, from `row` on, of r and of H with the rotation, in rad, from the
     measured unit vector z to the predicted b, resolved across z (the logarithm of the

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 
 Array = NDArray[np.float64]
 #: Table of a gyro: the mean of w_ci_c over each sample.
@@ -30,7 +30,7 @@ STRAPDOWN_INPUTS: Mapping[str, tuple[str, ...]] = {
 LARGEST_TURN = 0.1
 
 
-@jit_inner
+@jit
 def velocity_gained(
     R_ic: Array, row: Array, b_g: Array, b_f: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
@@ -55,7 +55,7 @@ def velocity_gained(
     )
 
 
-@jit_inner
+@jit
 def _one(u: Array, first: int, last: int, out: Array) -> None:
     """Rows first to last - 1 of u as one row `out`: the constant rate and force that turn
     and accelerate as much."""

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit_inner
+from relnav_graph.compiled import jit
 
 Array = NDArray[np.float64]
 
 
-@jit_inner
+@jit
 def duration(u: Array) -> float:
     """Length of an interval, s: the sum over its sub-intervals."""
     out = 0.0
@@ -20,13 +20,13 @@ def duration(u: Array) -> float:
     return out
 
 
-@jit_inner
+@jit
 def step_count(length: float, longest: float) -> int:
     """Number of equal steps of at most `longest` in `length`; rounding adds none."""
     return max(1, int(np.ceil(length / longest - 1e-9)))
 
 
-@jit_inner
+@jit
 def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) -> None:
     """Add the noise of three axes whose rate is a random walk, over h seconds.
 
@@ -40,7 +40,7 @@ def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) ->
         Q[3 + i, 3 + i] += variance * h
 
 
-@jit_inner
+@jit
 def add_step(step: Array, variance: float, h: float, F: Array, Q: Array) -> None:
     """Bring the sensitivity F and the noise Q of what came before to the end of a step of h
     seconds, whose first three values are driven as in `add_integrated_white_noise`."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.state import Block
 
 from ._attitude import AttitudeSensor, attitude_residual
@@ -20,7 +20,7 @@ from .relative_pose import relative_attitude
 Array = NDArray[np.float64]
 
 
-@jit_inner
+@jit
 def chaser_in_target(attitudes: Array) -> tuple[Array, Array]:
     """R_tc and its Jacobian, from (R_oc, R_ot) or from (R_tc) itself."""
     first = so3.matrix_at(attitudes, 0)

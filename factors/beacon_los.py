@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import jit, jit_wrapped
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
@@ -19,7 +19,7 @@ from ._sphere import OPPOSITE, direction, sphere_residual, turned
 Array = NDArray[np.float64]
 
 
-@jit
+@jit_wrapped
 def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Array]:
     """Unit vector (3,) to a beacon in sensor axes, and its Jacobian to the pose."""
     p, jacobian = point_in_sensor(mounting, beacon_t, x)

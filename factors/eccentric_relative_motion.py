@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel, Kernel
 from relnav_graph.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
 from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
@@ -20,7 +20,7 @@ from ._white_noise import add_step, duration, step_count
 Array = NDArray[np.float64]
 
 
-@jit_inner
+@jit
 def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Array]:
     """r'' (3,) of the separation x = (r, r') in the rotating frame, and its Jacobian to
     x, (3, 6): the exact difference of two two-body motions.
@@ -53,7 +53,7 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
     return out, jacobian
 
 
-@jit_inner
+@jit
 def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
     """x (6,) after one Runge-Kutta step of h seconds, and the step's own Jacobian."""
     one = so3.identity(6)

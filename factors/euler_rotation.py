@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.models import DynamicsModel, Kernel
 from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
@@ -30,7 +30,7 @@ from ._white_noise import add_step, duration, step_count
 Array = NDArray[np.float64]
 
 
-@jit_inner
+@jit
 def _rotate(
     p: Array,
     t: float,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.models import DynamicsModel
 from relnav_graph.orbit import KeplerOrbit, chief_motion
@@ -48,7 +48,7 @@ def gradient_torque(p: Array, t: float, R_it: Array) -> tuple[Array, Array]:
     return torque, slope
 
 
-@jit_inner
+@jit
 def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> Array:
     """The rate (3,) after the torque of time t has acted for h seconds; total (6, n):
     sensitivities, brought up to date in place."""

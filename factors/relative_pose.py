@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.models import DerivedQuantity
 from relnav_graph.state import (
     BODY_RATE,
@@ -23,7 +23,7 @@ from relnav_graph.state import (
 Array = NDArray[np.float64]
 
 
-@jit_inner
+@jit
 def relative_attitude(R_oc: Array, R_ot: Array) -> tuple[Array, Array]:
     """R_tc = R_ot^T R_oc and its Jacobian (3, 6) to (R_oc, R_ot)."""
     R_tc, jacobian = so3.transpose_multiply(R_ot, R_oc), np.zeros((3, 6))
@@ -34,7 +34,7 @@ def relative_attitude(R_oc: Array, R_ot: Array) -> tuple[Array, Array]:
     return R_tc, jacobian
 
 
-@jit_inner
+@jit
 def position_in_target(R_ot: Array, r_tc_o: Array) -> tuple[Array, Array]:
     """r_tc_t = R_ot^T r_tc_o and its Jacobian (3, 6) to (R_ot, r_tc_o)."""
     r_tc_t, jacobian = so3.unrotate(R_ot, r_tc_o), np.empty((3, 6))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import atexit
 import fcntl
+import gc
 import hashlib
 import logging
 import os
@@ -33,6 +34,7 @@ import llvmlite.binding
 import numba
 from numba import types
 from numba.core import sigutils
+from numba.core.compiler import Flags
 from numba.core.compiler_lock import global_compiler_lock
 
 __all__ = ["cache_folder", "compile_ahead", "compiled_once", "work"]
@@ -134,6 +136,19 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def _no_collection() -> Iterator[None]:
+    """Without Python's garbage collector: to look through all that numba makes takes it a
+    twelfth of the time, and most is still in use."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+@contextmanager
 def _vectors(of: str) -> Iterator[None]:
     """What numba's compiler makes vectors of: it has one choice for all functions."""
     configured = numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE
@@ -144,7 +159,7 @@ def _vectors(of: str) -> Iterator[None]:
         numba.config.LOOP_VECTORIZE, numba.config.SLP_VECTORIZE = configured
 
 
-def _call_by_symbol(compiled: Any, vectorize: str) -> None:
+def _call_by_symbol(compiled: Any, folder: Path, vectorize: str) -> None:
     """Have compiled callers call the one copy of a function's machine code.
 
     Its address is known to the linker of a process under a symbol, which the callers' code
@@ -152,7 +167,6 @@ def _call_by_symbol(compiled: Any, vectorize: str) -> None:
     """
     function = compiled.py_func
     build, compile_ = compiled._compiler.compile, compiled.compile
-    folder = cache_folder(function.__code__.co_filename)
     symbols: dict[tuple[Any, ...], str] = {}
 
     def build_and_note(arguments: Any, return_type: Any) -> Any:
@@ -169,13 +183,13 @@ def _call_by_symbol(compiled: Any, vectorize: str) -> None:
         arguments = tuple(sigutils.normalize_signature(signature)[0])
         if arguments in symbols:
             return compiled.overloads[arguments].entry_point
-        text = f"{function.__module__}.{function.__qualname__}{arguments} {folder.name}"
+        text = f"{function.__module__}.{function.__qualname__}{arguments} {folder}"
         symbol = "relnav_" + hashlib.sha256(text.encode()).hexdigest()
         # Who holds no lock may do something else in the meantime; who holds one, and waited
         # for a lock on the way, might wait for itself.
         while not _CALLED and _TASKS and _busy(folder / f"{symbol}.lock"):
             _make(_TASKS.pop())
-        with global_compiler_lock, _locked(folder / f"{symbol}.lock"):
+        with global_compiler_lock, _locked(folder / f"{symbol}.lock"), _no_collection():
             entry = compile_(signature)
         result = compiled.overloads[arguments]
         result.library._reload_init.update(result.reload_init)  # for those who link it
@@ -198,34 +212,30 @@ def _call_by_symbol(compiled: Any, vectorize: str) -> None:
     compiled.get_overload = symbol_of
 
 
-def _refuse_python(compiled: Any) -> None:
-    """Have a function without a wrapper for Python say so, where a call would crash."""
+class _Flags(Flags):  # type: ignore[misc]
+    """numba's flags, all alike for what our functions call: the same `np.empty` serves a
+    function with a wrapper for Python and one without."""
 
-    def refuse(*values: Any, **keywords: Any) -> None:
-        raise TypeError(f"{compiled.py_func.__name__}: only compiled code can call it")
+    def __hash__(self) -> int:
+        return 0
 
-    def add_overload(result: Any) -> None:
-        compiled.overloads[tuple(result.signature.args)] = result
-
-    compiled._compile_for_args, compiled.add_overload = refuse, add_overload
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Flags)
 
 
-def compiled_once(function: F, inner: bool = False, vectorize: str = "") -> F:
-    """A function that numba compiles when it is first called, and keeps on disk.
-
-    inner: only compiled code calls it. vectorize: "loops", which takes long and only helps the
-    long ones; "columns", neighbours that the source writes out one by one; or nothing.
-    """
+def _dispatcher(function: F, folder: Path, wrapped: bool, vectorize: str) -> Any:
+    """numba's for a function; wrapped: with what Python calls it through."""
     options: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
-    options["no_cpython_wrapper"] = inner
+    options["no_cpython_wrapper"] = not wrapped
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
-    numba.config.CACHE_DIR = str(cache_folder(function.__code__.co_filename))
+    numba.config.CACHE_DIR = str(folder)
     try:
         compiled = numba.njit(cache=True, **options)(function)
     except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
         compiled = numba.njit(**options)(function)
     finally:
         numba.config.CACHE_DIR = configured
+    compiled._compiler._customize_flags = _Flags
     template = compiled.get_call_template
 
     def of_types(arguments: Any, keywords: Any) -> Any:
@@ -233,15 +243,47 @@ def compiled_once(function: F, inner: bool = False, vectorize: str = "") -> F:
         return template([types.unliteral(a) for a in arguments], keywords)
 
     compiled.get_call_template = of_types
-    if inner:
-        _refuse_python(compiled)
     if "<locals>" not in function.__qualname__:  # else no import finds it again
-        _call_by_symbol(compiled, vectorize)
+        _call_by_symbol(compiled, folder, vectorize)
+    return compiled
+
+
+def _wrap_when_called(compiled: Any, wrapped: Callable[[], Any]) -> None:
+    """Have Python's calls go to another dispatcher of a function, which has the wrapper."""
+
+    def add_overload(result: Any) -> None:
+        compiled.overloads[tuple(result.signature.args)] = result
+
+    def compile_for_args(*values: Any, **keywords: Any) -> Any:
+        entry = wrapped()._compile_for_args(*values, **keywords)
+        for arguments, result in wrapped().overloads.items():
+            if result.entry_point is entry:  # from now on without this detour
+                compiled._insert([a._code for a in arguments], entry, False)
+        return entry
+
+    compiled.add_overload, compiled._compile_for_args = add_overload, compile_for_args
+
+
+def compiled_once(function: F, wrapped: bool = False, vectorize: str = "") -> F:
+    """A function that numba compiles when it is first called, and keeps on disk.
+
+    wrapped: what Python calls it through is compiled with it. It takes as long as a small
+    function; else Python's first call has the function compiled once more, with it.
+    vectorize: "loops", which takes long and only helps the long ones; "columns", neighbours
+    that the source writes out one by one; or nothing.
+    """
+    folder = cache_folder(function.__code__.co_filename)
+    compiled = _dispatcher(function, folder, wrapped, vectorize)
+    if not wrapped:
+        twin = cache(lambda: _dispatcher(function, folder / "wrapped", True, vectorize))
+        _wrap_when_called(compiled, twin)
     return compiled  # type: ignore[no-any-return]
 
 
 #: What helpers run.
-_HELPER = "import sys; from relnav_graph.compilation import work; work(sys.argv[1:])"
+_HELPER = (
+    "import gc, sys; gc.disable(); from relnav_graph.compilation import work; work(sys.argv[1:])"
+)
 
 
 @cache

@@ -30,8 +30,8 @@ __all__ = [
     "jit",
     "jit_as",
     "jit_columns",
-    "jit_inner",
     "jit_vector",
+    "jit_wrapped",
     "prepare",
     "sensor_address",
 ]
@@ -42,6 +42,8 @@ VECTOR = types.Array(types.float64, 1, "C")
 MATRIX = types.Array(types.float64, 2, "C")
 STACK = types.Array(types.float64, 3, "C")
 INDICES = types.Array(types.int64, 1, "C")
+INDEX_MATRIX = types.Array(types.int64, 2, "C")
+INDEX_STACK = types.Array(types.int64, 3, "C")
 
 #: Numbers before and after each array that a kernel fills, and their value: a kernel that
 #: writes past its arrays is found out, before it can spoil anybody else's memory.
@@ -61,24 +63,24 @@ DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MAT
 
 
 def jit(function: F) -> F:
-    """Compile `function` at its first call; for kernels, and for what Python calls too."""
+    """Compile `function` at its first call; for kernels, and for what they call."""
     return compiled_once(function)
 
 
-def jit_inner(function: F) -> F:
-    """:func:`jit` for what compiled code alone calls: its wrapper for Python would take a
-    tenth of the time that all compilation takes."""
-    return compiled_once(function, inner=True)
+def jit_wrapped(function: F) -> F:
+    """:func:`jit` for what Python, too, calls in most runs: with the wrapper for that, which
+    takes as long to compile as a small function."""
+    return compiled_once(function, wrapped=True)
 
 
 def jit_vector(function: F) -> F:
-    """:func:`jit_inner` with loops over vectors, for long rows."""
-    return compiled_once(function, inner=True, vectorize="loops")
+    """:func:`jit` with loops over vectors, for long rows."""
+    return compiled_once(function, vectorize="loops")
 
 
 def jit_columns(function: F) -> F:
-    """:func:`jit_inner` with vectors made of what is written out for adjoining columns."""
-    return compiled_once(function, inner=True, vectorize="columns")
+    """:func:`jit` with vectors made of what is written out for adjoining columns."""
+    return compiled_once(function, vectorize="columns")
 
 
 def _address(kernel: Any, signature: Any) -> int:
@@ -158,7 +160,8 @@ def jit_as(*arguments: Any) -> Callable[[Callable[..., None]], Callable[..., Non
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         @cache
         def entry() -> Any:
-            return compiled_once(function).compile(types.void(*arguments))  # type: ignore[attr-defined]
+            compiled: Any = compiled_once(function, wrapped=True)
+            return compiled.compile(types.void(*arguments))
 
         @wraps(function)
         def call(*values: Any) -> None:

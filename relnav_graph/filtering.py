@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import INDICES, MATRIX, STACK, VECTOR, jit_as, jit_inner
+from relnav_graph.compiled import INDICES, MATRIX, STACK, VECTOR, jit, jit_as
 from relnav_graph.loops import (
     INDEX_MATRIX,
     ROW,
@@ -39,7 +39,7 @@ FAILURES = {
 }
 
 
-@jit_inner
+@jit
 def _gate(
     observations: Indices,
     sensors: Indices,
@@ -211,7 +211,7 @@ def filter_epochs(
             return
 
 
-@jit_inner
+@jit
 def _measured_epoch(
     sensors: Indices,
     observations: Indices,

@@ -23,8 +23,8 @@ from relnav_graph.compiled import (
     VECTOR,
     call_dynamics,
     call_sensor,
+    jit,
     jit_as,
-    jit_inner,
 )
 from relnav_graph.matrices import cholesky, product, solve_lower
 from relnav_graph.state import local, times_jacobian
@@ -66,19 +66,19 @@ BROKEN = {
 }
 
 
-@jit_inner
+@jit
 def _guarded(n: int) -> Array:
     """A buffer for n numbers with guards on both sides."""
     return np.full(n + 2 * GUARD, MARK)
 
 
-@jit_inner
+@jit
 def _reset(buffer: Array) -> None:
     for i in range(GUARD, buffer.shape[0] - GUARD):
         buffer[i] = np.nan
 
 
-@jit_inner
+@jit
 def _verdict(buffer: Array) -> int:
     """0, or what a kernel did wrong with a guarded buffer."""
     n = buffer.shape[0]
@@ -91,20 +91,20 @@ def _verdict(buffer: Array) -> int:
     return 0
 
 
-@jit_inner
+@jit
 def _matrix(numbers: Array, start: int, rows: int, columns: int) -> Array:
     """The matrix whose rows stand in `numbers` from `start` on."""
     return numbers[start : start + rows * columns].reshape(rows, columns)
 
 
-@jit_inner
+@jit
 def _gather(x: Array, places: Indices, out: Array) -> None:
     """The stored values of some blocks of a state x (size,)."""
     for i in range(places.shape[0]):
         out[i] = x[places[i]]
 
 
-@jit_inner
+@jit
 def observe(
     sensors: Indices,
     observations: Indices,
@@ -166,7 +166,7 @@ def observe(
                     H[start + a, columns[j]] += w * h_one[b, j]
 
 
-@jit_inner
+@jit
 def propagate(
     processes: Indices,
     intervals: Indices,
@@ -296,7 +296,7 @@ def whitening(
                     whiten[k, rows[i], rows[j]] = inverse[i, j] / scale[j]
 
 
-@jit_inner
+@jit
 def interval_row(
     x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
 ) -> None:

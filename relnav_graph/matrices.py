@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit_columns, jit_inner, jit_vector
+from relnav_graph.compiled import jit, jit_columns, jit_vector
 
 __all__ = [
     "cholesky",
@@ -49,7 +49,7 @@ def product(a: Array, b: Array, out: Array) -> None:
                 j += 1
 
 
-@jit_inner
+@jit
 def sandwich(F: Array, P: Array, out: Array) -> None:
     """``out = F P F^T`` for a symmetric P, exactly symmetric."""
     n = F.shape[0]
@@ -62,7 +62,7 @@ def sandwich(F: Array, P: Array, out: Array) -> None:
     symmetrize(out)
 
 
-@jit_inner
+@jit
 def symmetrize(P: Array) -> None:
     """Remove the asymmetry of rounding."""
     for i in range(P.shape[0]):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.units import Quantity, check_fields
@@ -88,7 +88,7 @@ def stumpff(z: float) -> Array:
     return c
 
 
-@jit_inner
+@jit
 def _universal_anomaly(r0: float, sigma0: float, alpha: float, s: float) -> float:
     """chi with ``r0 U1 + sigma0 U2 + U3 = s``; s = sqrt(mu) dt. Laguerre, n = 5."""
     chi = s * alpha if alpha > 0 else s / r0

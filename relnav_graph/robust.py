@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 
 __all__ = ["TUNING", "Loss", "LossKind", "root_weight"]
@@ -36,7 +36,7 @@ _NUMBERS: Mapping[str, int] = {"huber": HUBER, "cauchy": CAUCHY, "dcs": DCS, "tu
 TUNING: Mapping[str, float] = {"huber": 1.345, "cauchy": 2.3849, "dcs": 2.0, "tukey": 4.6851}
 
 
-@jit_inner
+@jit
 def root_weight(kind: float, c: float, s2: float) -> float:
     """Square root of the weight of an observation of mean square s2; 1 without a loss."""
     q, root = s2 / (c * c), 1.0

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit, jit_wrapped
 from relnav_graph.matrices import product, sandwich
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def identity(n: int) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def matrix_at(x: Array, start: int) -> Array:
     """The (3, 3) matrix whose rows stand in x from `start` on."""
     out = np.empty((3, 3))
@@ -43,7 +43,7 @@ def matrix_at(x: Array, start: int) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def vector_at(x: Array, start: int) -> Array:
     """The (3,) vector that stands in x from `start` on."""
     out = np.empty(3)
@@ -52,7 +52,7 @@ def vector_at(x: Array, start: int) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def put_matrix(x: Array, start: int, matrix: Array) -> None:
     """Write a (3, 3) matrix into x, row by row, from `start` on."""
     for i in range(3):
@@ -60,14 +60,14 @@ def put_matrix(x: Array, start: int, matrix: Array) -> None:
             x[start + 3 * i + j] = matrix[i, j]
 
 
-@jit_inner
+@jit
 def put_vector(x: Array, start: int, v: Array) -> None:
     """Write a vector into x from `start` on."""
     for i in range(v.shape[0]):
         x[start + i] = v[i]
 
 
-@jit_inner
+@jit
 def put(out: Array, row: int, column: int, block: Array, factor: float) -> None:
     """Write ``factor block`` into a matrix, its upper left corner at (row, column)."""
     for i in range(block.shape[0]):
@@ -85,7 +85,7 @@ def add(a: Array, b: Array, factor: float) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def add_vector(a: Array, b: Array, factor: float) -> Array:
     """``a + factor b`` of two vectors."""
     out = np.empty_like(a)
@@ -94,7 +94,7 @@ def add_vector(a: Array, b: Array, factor: float) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def propagate_covariance(F: Array, P: Array) -> Array:
     """``F P F^T`` of a symmetric P."""
     out = np.empty((F.shape[0], F.shape[0]))
@@ -155,7 +155,7 @@ def cross(a: Array, b: Array) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def put_cross(out: Array, row: int, column: int, a: Array, b: Array, factor: float) -> None:
     """Write ``factor a x b`` into one row of a matrix, from `column` on."""
     out[row, column] = factor * (a[1] * b[2] - a[2] * b[1])
@@ -172,7 +172,7 @@ def skew(v: Array) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def _quadratic(v: Array, a: float, b: float) -> Array:
     """``I + a [v x] + b [v x]^2``, with ``[v x]^2 = v v^T - |v|^2 I`` written out."""
     s = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
@@ -190,7 +190,7 @@ def _quadratic(v: Array, a: float, b: float) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def _coefficients(t: float) -> tuple[float, float, float]:
     """``sin t / t``, ``(1 - cos t) / t^2``, ``(t - sin t) / t^3``."""
     s = t * t
@@ -203,14 +203,14 @@ def _coefficients(t: float) -> tuple[float, float, float]:
     return np.sin(t) / t, 2 * half * half / s, (t - np.sin(t)) / (s * t)
 
 
-@jit
+@jit_wrapped
 def exp(phi: Array) -> Array:
     """Rotation matrix (3, 3) of the rotation vector `phi` (3,) in rad (Rodrigues)."""
     a, b, _ = _coefficients(np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2))
     return _quadratic(phi, a, b)
 
 
-@jit
+@jit_wrapped
 def quaternion(matrix: Array) -> Array:
     """Hamilton quaternion ``q_wxyz`` (4,), w >= 0, of a rotation matrix (Shepperd 1978)."""
     m = matrix
@@ -238,7 +238,7 @@ def quaternion(matrix: Array) -> Array:
     return q
 
 
-@jit
+@jit_wrapped
 def from_quaternion(q_wxyz: Array) -> Array:
     """Rotation matrix of a Hamilton quaternion, scalar first; normalises it."""
     n = np.sqrt(q_wxyz[0] ** 2 + q_wxyz[1] ** 2 + q_wxyz[2] ** 2 + q_wxyz[3] ** 2)

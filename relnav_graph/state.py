@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit, jit_wrapped
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.units import unit_scale
 
@@ -89,7 +89,7 @@ class Block:
         return b - a
 
 
-@jit
+@jit_wrapped
 def retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
     """x (+) d; kinds has one row (is_SO3, stored offset, tangent offset, dim) a block."""
     out = x.copy()
@@ -104,7 +104,7 @@ def retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
     return out
 
 
-@jit
+@jit_wrapped
 def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
     """The tangent vector d with a (+) d = b."""
     out = np.empty(dim)
@@ -119,7 +119,7 @@ def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def times_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) -> None:
     """``a = a J``, with the block-diagonal right Jacobian J (or its inverse) of the
     retraction at d: the identity but for attitudes."""

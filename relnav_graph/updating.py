@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.loops import ROW, ROWS, SENSOR, observe
 from relnav_graph.matrices import (
     cholesky,
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-@jit_inner
+@jit
 def copy(a: Array, out: Array) -> None:
     """``out = a``."""
     for i in range(a.shape[0]):
@@ -48,7 +48,7 @@ def copy(a: Array, out: Array) -> None:
             out[i, j] = a[i, j]
 
 
-@jit_inner
+@jit
 def sum_of_squares(v: Array) -> float:
     """``v^T v``."""
     out = 0.0
@@ -57,7 +57,7 @@ def sum_of_squares(v: Array) -> float:
     return out
 
 
-@jit_inner
+@jit
 def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
     """L of the correlation matrix of P, and the sigmas; False unless positive definite."""
     for i in range(P.shape[0]):
@@ -68,7 +68,7 @@ def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
     return cholesky(L)
 
 
-@jit_inner
+@jit
 def _squared_length(L: Array, scale: Array, d: Array) -> float:
     """``d^T P^-1 d``, from the factor of the correlation matrix."""
     v = np.empty((d.shape[0], 1))
@@ -78,7 +78,7 @@ def _squared_length(L: Array, scale: Array, d: Array) -> float:
     return sum_of_squares(v[:, 0])
 
 
-@jit_inner
+@jit
 def innovation_covariance(H: Array, P: Array, HP: Array, S: Array) -> None:
     """``S = H P H^T + I``, symmetric, and ``H P`` on the way."""
     product(H, P, HP)
@@ -90,7 +90,7 @@ def innovation_covariance(H: Array, P: Array, HP: Array, S: Array) -> None:
             S[i, j] = S[j, i] = value
 
 
-@jit_inner
+@jit
 def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
     """Triangularise the rows ``y`` and ``innovation + H C y`` in a (n + rows, n + 1).
 
@@ -111,7 +111,7 @@ def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
     householder(a, n, n, n + rows, n + 1)
 
 
-@jit_inner
+@jit
 def _solution(C: Array, a: Array) -> Array:
     """The step ``C R^-1 a[:n, n]``."""
     n = C.shape[0]
@@ -124,7 +124,7 @@ def _solution(C: Array, a: Array) -> Array:
     return so3.rotate(C, y)
 
 
-@jit_inner
+@jit
 def _covariance(C: Array, a: Array, P: Array) -> None:
     """``P = (C R^-1) (C R^-1)^T``."""
     n = C.shape[0]
@@ -141,7 +141,7 @@ def _covariance(C: Array, a: Array, P: Array) -> None:
             P[i, j] = P[j, i] = value
 
 
-@jit_inner
+@jit
 def misfit(H: Array, P: Array, r: Array) -> float:
     """``r^T (H P H^T + I)^-1 r``; NaN where P is not positive definite."""
     n = P.shape[0]
@@ -156,7 +156,7 @@ def misfit(H: Array, P: Array, r: Array) -> float:
     return sum_of_squares(a[n:, n].copy())
 
 
-@jit_inner
+@jit
 def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
     """``P = J P J^T``: a covariance moved to the tangent of the state that is d away (or,
     inverse, from there). Exactly symmetric."""
@@ -176,7 +176,7 @@ def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
     symmetrize(P)
 
 
-@jit_inner
+@jit
 def _possible(before: Indices, after: Indices) -> bool:
     """Whether a new state is one: no kernel broke its contract, and no observation that was
     possible has become impossible, which must not pass for one that fits."""
@@ -187,7 +187,7 @@ def _possible(before: Indices, after: Indices) -> bool:
     return lost == 0
 
 
-@jit_inner
+@jit
 def update(
     sensors: Indices,
     observations: Indices,
@@ -285,7 +285,7 @@ def update(
     return True
 
 
-@jit_inner
+@jit
 def robust_update(
     sensors: Indices,
     observations: Indices,
@@ -388,7 +388,7 @@ def robust_update(
     return True
 
 
-@jit_inner
+@jit
 def _stepto_tangent(step: Array, e: Array, kinds: Indices) -> None:
     """``step = J step``, one row."""
     for k in range(kinds.shape[0]):

@@ -94,11 +94,11 @@ def test_processes_at_once_compile_each_function_once(package: Path) -> None:
 
 def test_callers_hold_no_copy_of_what_they_call(package: Path) -> None:
     program = (
-        "from outsider.upper import f; from outsider.lower import root\n"
+        "from outsider.upper import f; from outsider.lower import g, root\n"
         "f(9.0)\n"
         "code = lambda function: next(iter(function.overloads.values()))\n"
         "name = code(root).fndesc.mangled_name\n"
-        "print(name in code(root).library.get_llvm_str(), name in code(f).library.get_llvm_str())"
+        "print(name in code(root).library.get_llvm_str(), name in code(g).library.get_llvm_str())"
     )
     assert result(start(package, program)) == ["True", "False"]
 
@@ -118,10 +118,23 @@ def test_a_cache_that_cannot_be_written_is_done_without(package: Path) -> None:
     assert float(value) == 9.0
 
 
-def test_python_may_not_call_what_has_no_wrapper() -> None:
-    """It would crash; before and after compiled code has called it."""
-    one = np.eye(3)
+def test_python_may_call_what_compiled_code_calls(package: Path) -> None:
+    """Before and after compiled code has called it, and with any kind of argument."""
+    program = (
+        "from outsider.upper import f; from outsider.lower import root\n"
+        "print(root(9.0), f(9.0), root(x=9), root(16.0), f(16), root(9))"
+    )
+    for _ in range(2):  # the second time from the cache
+        assert result(start(package, program)) == ["3.0", "9.0", "3.0", "4.0", "12.0", "3.0"]
+    one, out = 2 * np.eye(3), np.empty((3, 3))
     for _ in range(2):
-        with pytest.raises(TypeError, match="product: only compiled code can call it"):
-            product(one, one, one)
-        np.testing.assert_array_equal(so3.multiply(one, one), one)
+        product(one, one, out)
+        np.testing.assert_array_equal(so3.multiply(one, one), out)
+
+
+def test_garbage_is_collected_again_after_compiling(package: Path) -> None:
+    program = (
+        "import gc; from outsider.upper import f\n"
+        "f(9.0)\nprint(gc.isenabled())\ngc.disable()\nf(9)\nprint(gc.isenabled())"
+    )
+    assert result(start(package, program)) == ["True", "False"]

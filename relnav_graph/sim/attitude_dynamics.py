@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import MATRIX, VECTOR, jit_as, jit_inner
+from relnav_graph.compiled import MATRIX, VECTOR, jit, jit_as
 from relnav_graph.constants import MU_EARTH
 
 __all__ = ["BODY", "ORBIT", "advance", "circular_orbit", "gravity_gradient"]
@@ -38,7 +38,7 @@ def circular_orbit(
     return np.array([radius, np.sqrt(MU_EARTH / radius**3), *radial, *ahead, drag])
 
 
-@jit_inner
+@jit
 def gravity_gradient(orbit: Array, J: Array, t: float, q_ib: Array) -> Array:
     """Torque of a central field on a body of inertia J (3, 3) at time t, s, in body axes,
     N m: 3 n^2 u x J u with u the unit vector outwards (Hughes 1986, eq. 8.1.13)."""
@@ -52,7 +52,7 @@ def gravity_gradient(orbit: Array, J: Array, t: float, q_ib: Array) -> Array:
     return torque
 
 
-@jit_inner
+@jit
 def _drag_torque(orbit: Array, body: Array, t: float, q_ib: Array) -> Array:
     """Torque of free molecular drag along the velocity on three faces, about the centre of
     mass, in body axes, N m. The air does not turn with the Earth."""
@@ -69,7 +69,7 @@ def _drag_torque(orbit: Array, body: Array, t: float, q_ib: Array) -> Array:
     return so3.cross(so3.vector_at(body, 21), v)
 
 
-@jit_inner
+@jit
 def _derivative(orbit: Array, body: Array, t: float, y: Array, command: Array, out: Array) -> None:
     """y' (7,) of one body under gravity gradient, drag and a commanded torque."""
     J = so3.matrix_at(body, 0)

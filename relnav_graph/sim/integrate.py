@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import INDICES, MATRIX, VECTOR, jit_as, jit_inner
+from relnav_graph.compiled import INDICES, MATRIX, VECTOR, jit, jit_as
 
 __all__ = ["STATE_SIZE", "integrate"]
 
@@ -34,7 +34,7 @@ _A = np.array(
 _B = np.array([11 / 120, 0, 27 / 40, 27 / 40, -4 / 15, -4 / 15, 11 / 120])
 
 
-@jit_inner
+@jit
 def _orbits(mu: float, y: Array, acceleration: Array, out: Array) -> None:
     """Two-body motion of the target and, exactly, of the chaser relative to it.
 
@@ -58,7 +58,7 @@ def _orbits(mu: float, y: Array, acceleration: Array, out: Array) -> None:
         out[9 + i] = -g / ratio * (y[6 + i] - f * y[i]) + acceleration[i]
 
 
-@jit_inner
+@jit
 def _rotation(inertia: Array, y: Array, angular_acceleration: Array, out: Array) -> None:
     """Kinematics of q_it and Euler's equations about principal axes.
 
@@ -76,7 +76,7 @@ def _rotation(inertia: Array, y: Array, angular_acceleration: Array, out: Array)
     out[18] = (jx - jy) * wx * wy / jz + angular_acceleration[2]
 
 
-@jit_inner
+@jit
 def _step(mu: float, inertia: Array, disturbance: Array, h: float, y: Array, k: Array) -> None:
     """Advance y by h in place; k (8, 19) is scratch space, its last row the stage."""
     stage = k[7]

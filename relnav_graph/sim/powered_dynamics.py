@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_inner
+from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 
 __all__ = ["fly_orbits", "gravity", "sample_attitude"]
@@ -43,7 +43,7 @@ def gravity(r: Array) -> Array:
     return out
 
 
-@jit_inner
+@jit
 def _slope(y: Array, held: Array) -> Array:
     out = np.empty(12)
     for first in (0, 6):
@@ -66,7 +66,7 @@ def fly_orbits(y: Array, held: Array, h: float, steps: int) -> Array:
     return y
 
 
-@jit_inner
+@jit
 def _attitude(R: Array, rate: Array, wobble: Array, since: float, t: float) -> Array:
     """R_ic: a steady turn of `since` seconds from R, then a wobble of small angles."""
     turn, angle = np.empty(3), np.empty(3)
