@@ -374,9 +374,5 @@ class Assembly:
     def process(self, x: Array, whiten: Array) -> ProcessRows:
         """Rows of all intervals between the states x (M + 1, size). Raises as
         :meth:`transition` does."""
-        m, n = len(self.tables.starts), self.layout.dim
-        out = ProcessRows(np.empty((m, n)), np.empty((m, n, n)), np.empty((m, n, n)))
-        failure = np.zeros(3, dtype=np.int64)
-        loops.linearize(*self.tables, x, whiten, self.layout.kinds, out.e, out.A, out.B, failure)
-        self.check_propagated(failure)
-        return out
+        x_next, F, _ = self.transition(np.ascontiguousarray(x[:-1]))
+        return process_rows(self.layout, x_next, x[1:], F, whiten)

@@ -7,12 +7,17 @@ from numba import types
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import INDICES, MATRIX, STACK, jit_as
+from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, jit_as
 from relnav_graph.filtering import NOT_POSITIVE
-from relnav_graph.loops import INDEX_MATRIX
-from relnav_graph.matrices import product, sandwich, solve_lower, solve_lower_transposed
+from relnav_graph.matrices import (
+    product,
+    sandwich,
+    scaled_cholesky,
+    solve_lower,
+    solve_lower_transposed,
+)
 from relnav_graph.state import local, retract
-from relnav_graph.updating import copy, scaled_cholesky, to_tangent
+from relnav_graph.updating import copy, to_tangent
 
 __all__ = ["backward"]
 

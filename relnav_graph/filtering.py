@@ -6,9 +6,9 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from relnav_graph.compiled import INDICES, MATRIX, STACK, VECTOR, jit, jit_as
+from relnav_graph import so3
+from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
 from relnav_graph.loops import (
-    INDEX_MATRIX,
     ROW,
     ROWS,
     SENSOR,
@@ -23,7 +23,6 @@ from relnav_graph.updating import (
     innovation_covariance,
     misfit,
     robust_update,
-    sum_of_squares,
 )
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
@@ -69,10 +68,20 @@ def _gate(
         weight[i] = 0.0
         if cholesky(own):
             solve_lower(own, v)
-            total = sum_of_squares(v[:, 0])
+            total = 0.0
+            for a in range(rows):
+                total += v[a, 0] * v[a, 0]
             squares[i] = total / rows
             if total <= limit[i]:
                 weight[i] = 1.0
+
+
+@jit
+def _finite(v: Array) -> bool:
+    finite = True
+    for i in range(v.shape[0]):
+        finite = finite and np.isfinite(v[i])
+    return finite
 
 
 @jit_as(
@@ -144,21 +153,21 @@ def filter_epochs(
             if status != 0:
                 failure[0], failure[1], failure[2] = PROPAGATED, a, status
                 return
-            for i in range(xk.shape[0]):
-                xk[i] = x_predicted[k, i]
+            so3.put_vector(xk, 0, x_predicted[k])
             sandwich(F[slot], Pk, P_predicted[k])
             for i in range(n):
                 for j in range(n):
                     P_predicted[k, i, j] += Q[0, i, j]
-                    Pk[i, j] = P_predicted[k, i, j]
+            copy(P_predicted[k], Pk)
         else:
-            for i in range(xk.shape[0]):
-                x_predicted[k, i] = xk[i]
+            so3.put_vector(x_predicted[k], 0, xk)
             copy(Pk, P_predicted[k])
         first, last = epoch_offsets[k], epoch_offsets[k + 1]
         start, stop = row_offsets[k], row_offsets[k + 1]
         nis[k], used[k] = 0.0, 0
         if last > first:
+            own_losses, own_weight = losses[first:last], weight[first:last]
+            own_squares = squares[: last - first]
             _measured_epoch(
                 sensors,
                 observations,
@@ -170,12 +179,12 @@ def filter_epochs(
                 xk,
                 Pk,
                 limit[first:last],
-                losses[first:last],
-                weight[first:last],
-                squares[: last - first],
+                own_losses,
+                own_weight,
+                own_squares,
                 stop - start,
-                nis[k : k + 1],
-                used[k : k + 1],
+                nis,
+                used,
                 failure,
             )
             if failure[0] == 0 and not robust_update(
@@ -189,25 +198,22 @@ def filter_epochs(
                 last,
                 stop - start,
                 iterations,
-                losses[first:last],
-                squares[: last - first],
-                weight[first:last],
+                own_losses,
+                own_squares,
+                own_weight,
                 xk,
                 Pk,
             ):
                 failure[0] = NOT_POSITIVE
             if failure[0] != 0:
                 return
-        for i in range(xk.shape[0]):
-            if not np.isfinite(xk[i]):
-                failure[0] = NOT_FINITE
-            x[k, i] = xk[i]
+        so3.put_vector(x[k], 0, xk)
+        copy(Pk, P[k])
+        sound = _finite(xk)
         for i in range(n):
-            for j in range(n):
-                if not np.isfinite(Pk[i, j]):
-                    failure[0] = NOT_FINITE
-                P[k, i, j] = Pk[i, j]
-        if failure[0] != 0:
+            sound = sound and _finite(Pk[i])
+        if not sound:
+            failure[0] = NOT_FINITE
             return
 
 
@@ -237,7 +243,8 @@ def _measured_epoch(
     status = np.empty(last - first, np.int64)
     for i in range(last - first):
         weight[i] = 1.0
-    at = x.copy().reshape(1, x.shape[0])
+    at = np.empty((1, x.shape[0]))
+    so3.put_vector(at[0], 0, x)
     observe(sensors, observations, places, numbers, first, last, k, at, weight, r, H, status)
     for i in range(last - first):
         if status[i] < 0:
@@ -251,7 +258,7 @@ def _measured_epoch(
         start = observations[first + i, ROW] - observations[first, ROW]
         count = sensors[observations[first + i, SENSOR], ROWS]
         if weight[i] != 0.0:
-            used[0] += count
+            used[k] += count
             if losses[i, 0] != 0.0:  # the misfit counts as far as the loss lets it
                 for a in range(start, start + count):
                     r[a] *= root_weight(losses[i, 0], losses[i, 1], squares[i])
@@ -260,6 +267,6 @@ def _measured_epoch(
             r[a] = 0.0
             for j in range(n):
                 H[a, j] = 0.0
-    nis[0] = misfit(H, P, r)
-    if not np.isfinite(nis[0]):
+    nis[k] = misfit(H, P, r)
+    if not np.isfinite(nis[k]):
         failure[0] = NOT_POSITIVE

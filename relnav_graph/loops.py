@@ -10,12 +10,13 @@ observation, process and interval, which say where each one's numbers stand in o
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import (
     GUARD,
+    INDEX_MATRIX,
+    INDEX_STACK,
     INDICES,
     MARK,
     MATRIX,
@@ -26,15 +27,14 @@ from relnav_graph.compiled import (
     jit,
     jit_as,
 )
-from relnav_graph.matrices import cholesky, product, solve_lower
-from relnav_graph.state import local, times_jacobian
+from relnav_graph.matrices import product, scaled_cholesky, solve_lower
+from relnav_graph.state import local, times_jacobian, times_transposed_jacobian
 
 __all__ = [
     "BROKEN",
     "TABLES",
     "interval_row",
     "interval_rows",
-    "linearize",
     "measure",
     "observe",
     "propagate",
@@ -45,7 +45,6 @@ __all__ = [
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-INDEX_MATRIX, INDEX_STACK = types.Array(types.int64, 2, "C"), types.Array(types.int64, 3, "C")
 #: Types of a pass's tables: sensors, observations, processes, intervals, starts of the
 #: intervals, places in the state, numbers.
 TABLES = (INDEX_MATRIX, INDEX_MATRIX, INDEX_MATRIX, INDEX_STACK, VECTOR, INDICES, VECTOR)
@@ -128,42 +127,76 @@ def observe(
         r[i] = 0.0
         for j in range(H.shape[1]):
             H[i, j] = 0.0
-    current = -1
-    for o in range(first, last):
-        i = o - first
+    start = first
+    while start < last:  # a run of one sensor's
+        stop = start + 1
+        while stop < last and observations[stop, SENSOR] == observations[start, SENSOR]:
+            stop += 1
+        _observe_run(
+            sensors[observations[start, SENSOR]],
+            observations,
+            places,
+            numbers,
+            first,
+            start,
+            stop,
+            epoch,
+            x,
+            weight,
+            r,
+            H,
+            status,
+        )
+        start = stop
+
+
+@jit
+def _observe_run(
+    sensor: Indices,
+    observations: Indices,
+    places: Indices,
+    numbers: Array,
+    first: int,
+    start: int,
+    stop: int,
+    epoch: int,
+    x: Array,
+    weight: Array,
+    r: Array,
+    H: Array,
+    status: Indices,
+) -> None:
+    """:func:`observe` of those from `start` to `stop`, which are one sensor's."""
+    p = numbers[sensor[P] : sensor[P + 1]]
+    gather = places[sensor[GATHER] : sensor[GATHER + 1]]
+    columns = places[sensor[COLUMNS] : sensor[COLUMNS + 1]]
+    rows, n = sensor[ROWS], columns.shape[0]
+    x_one = np.empty(gather.shape[0])
+    r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
+    r_one = r_buffer[GUARD : GUARD + rows]
+    h_one = _matrix(h_buffer, GUARD, rows, n)
+    for o in range(start, stop):
+        i, one = o - first, observations[o]
         status[i] = 0
         if weight[i] == 0.0:
             continue
-        one = observations[o]
-        if one[SENSOR] != current:
-            current = one[SENSOR]
-            sensor = sensors[current]
-            p = numbers[sensor[P] : sensor[P + 1]]
-            gather = places[sensor[GATHER] : sensor[GATHER + 1]]
-            columns = places[sensor[COLUMNS] : sensor[COLUMNS + 1]]
-            rows, n = sensor[ROWS], columns.shape[0]
-            x_one = np.empty(gather.shape[0])
-            r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
-            r_one = r_buffer[GUARD : GUARD + rows]
-            h_one = _matrix(h_buffer, GUARD, rows, n)
-            address = sensor[ADDRESS]
         _reset(r_buffer)
         _reset(h_buffer)
         _gather(x[one[EPOCH] - epoch], gather, x_one)
         q, z = numbers[one[Q_DATA] : one[Q_DATA + 1]], numbers[one[Z_DATA] : one[Z_DATA + 1]]
-        status[i] = call_sensor(address, p, q, z, x_one, r_one, h_one)
+        status[i] = call_sensor(sensor[ADDRESS], p, q, z, x_one, r_one, h_one)
         wrong = min(_verdict(r_buffer), _verdict(h_buffer))
         if wrong == OUTSIDE or (wrong == UNFILLED and status[i] == 0):
             status[i] = wrong
         if status[i] != 0:
             continue
-        start = one[ROW] - observations[first, ROW]
+        row = one[ROW] - observations[first, ROW]
         for a in range(rows):
             for b in range(a + 1):
                 w = weight[i] * numbers[one[WHITEN] + a * rows + b]
-                r[start + a] += w * r_one[b]
+                r[row + a] += w * r_one[b]
                 for j in range(n):
-                    H[start + a, columns[j]] += w * h_one[b, j]
+                    H[row + a, columns[j]] += w * h_one[b, j]
 
 
 @jit
@@ -279,18 +312,16 @@ def whitening(
     for a in range(processes.shape[0]):
         rows = places[processes[a, ROWS] : processes[a, ROWS + 1]]
         n = rows.shape[0]
-        own, scale = np.empty((n, n)), np.empty(n)
+        own, L, scale = np.empty((n, n)), np.empty((n, n)), np.empty(n)
         for k in range(Q.shape[0]):
             for i in range(n):
-                scale[i] = np.sqrt(Q[k, rows[i], rows[i]])
-            for i in range(n):
                 for j in range(n):
-                    own[i, j] = Q[k, rows[i], rows[j]] / (scale[i] * scale[j])
-            if not cholesky(own):
+                    own[i, j] = Q[k, rows[i], rows[j]]
+            if not scaled_cholesky(own, scale, L):
                 failure[0], failure[1], failure[2] = k, a, 1
                 return
             inverse = so3.identity(n)
-            solve_lower(own, inverse)
+            solve_lower(L, inverse)
             for i in range(n):
                 for j in range(n):
                     whiten[k, rows[i], rows[j]] = inverse[i, j] / scale[j]
@@ -303,15 +334,13 @@ def interval_row(
     """:func:`interval_rows` of one interval."""
     n = e.shape[0]
     error, left = local(x_next, x1, kinds, n), np.empty((n, n))
-    minus = np.empty(n)
     for i in range(n):
-        minus[i] = -error[i]
         e[i] = 0.0
         for j in range(n):
             e[i] += whiten[i, j] * error[j]
             left[i, j] = -whiten[i, j]
             B[i, j] = whiten[i, j]
-    times_jacobian(left, minus, kinds, True)
+    times_transposed_jacobian(left, error, kinds, True)
     times_jacobian(B, error, kinds, True)
     product(left, F, A)
 
@@ -326,33 +355,3 @@ def interval_rows(
     """
     for k in range(x1.shape[0]):
         interval_row(x_next[k], x1[k], F[k], whiten[k], kinds, e[k], A[k], B[k])
-
-
-@jit_as(*TABLES, MATRIX, STACK, INDEX_MATRIX, MATRIX, STACK, STACK, INDICES)
-def linearize(
-    sensors: Indices,
-    observations: Indices,
-    processes: Indices,
-    intervals: Indices,
-    starts: Array,
-    places: Indices,
-    numbers: Array,
-    x: Array,
-    whiten: Array,
-    kinds: Indices,
-    e: Array,
-    A: Array,
-    B: Array,
-    failure: Indices,
-) -> None:
-    """`transition` and `interval_rows` of a whole trajectory x (M + 1, size) at once."""
-    n = e.shape[1]
-    x_next, F, Q = np.zeros(x.shape[1]), np.empty((n, n)), np.empty((n, n))
-    for k in range(starts.shape[0]):
-        process, status = propagate(
-            processes, intervals, starts, places, numbers, k, x[k], x_next, F, Q
-        )
-        if status != 0:
-            failure[0], failure[1], failure[2] = k, process, status
-            return
-        interval_row(x_next, x[k + 1], F, whiten[k], kinds, e[k], A[k], B[k])

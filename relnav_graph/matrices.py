@@ -20,9 +20,11 @@ __all__ = [
     "inverse_upper",
     "product",
     "sandwich",
+    "scaled_cholesky",
     "solve_lower",
     "solve_lower_transposed",
     "symmetrize",
+    "transpose",
 ]
 
 Array = NDArray[np.float64]
@@ -63,6 +65,14 @@ def sandwich(F: Array, P: Array, out: Array) -> None:
 
 
 @jit
+def transpose(a: Array) -> None:
+    """``a = a^T``, for a square matrix."""
+    for i in range(a.shape[0]):
+        for j in range(i):
+            a[i, j], a[j, i] = a[j, i], a[i, j]
+
+
+@jit
 def symmetrize(P: Array) -> None:
     """Remove the asymmetry of rounding."""
     for i in range(P.shape[0]):
@@ -89,6 +99,17 @@ def cholesky(a: Array) -> bool:
         for i in range(j):
             a[i, j] = 0.0
     return True
+
+
+@jit
+def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
+    """L of the correlation matrix of P, and the sigmas; False unless positive definite."""
+    for i in range(P.shape[0]):
+        scale[i] = np.sqrt(P[i, i])
+    for i in range(P.shape[0]):
+        for j in range(P.shape[0]):
+            L[i, j] = P[i, j] / (scale[i] * scale[j])
+    return cholesky(L)
 
 
 @jit_vector
@@ -141,7 +162,8 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
 
     below: rows from the diagonal down to this one are known to be zero there already. A
     reflection leaves out the rows that are zero in its column, and the columns in which none
-    of its rows has begun; the sums of four columns stay in registers.
+    of its rows has begun; the sums of four columns stay in registers. The three columns
+    after `width` are spoilt: there must be as many.
     """
     end, at, f = np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows)
     for i in range(rows):
@@ -168,7 +190,7 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
         for l in range(count):
             end[at[l]] = last
         c = j + 1
-        while c + 3 < last:
+        while c < last:
             w, x, y, z = v * a[j, c], v * a[j, c + 1], v * a[j, c + 2], v * a[j, c + 3]
             for l in range(count):
                 i = at[l]
@@ -188,12 +210,3 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
                 a[i, c + 2] -= f[l] * y
                 a[i, c + 3] -= f[l] * z
             c += 4
-        while c < last:
-            w = v * a[j, c]
-            for l in range(count):
-                w += f[l] * a[at[l], c]
-            w *= scale
-            a[j, c] -= v * w
-            for l in range(count):
-                a[at[l], c] -= f[l] * w
-            c += 1

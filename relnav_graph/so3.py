@@ -11,6 +11,8 @@ Sources: Sola, Deray, Atchuthan 2018 (arXiv:1812.01537), eqs. 132-147; Chirikjia
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,7 +80,7 @@ def put(out: Array, row: int, column: int, block: Array, factor: float) -> None:
 @jit
 def add(a: Array, b: Array, factor: float) -> Array:
     """``a + factor b`` of two matrices."""
-    out = np.empty_like(a)
+    out = np.empty((a.shape[0], a.shape[1]))
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             out[i, j] = a[i, j] + factor * b[i, j]
@@ -88,7 +90,7 @@ def add(a: Array, b: Array, factor: float) -> Array:
 @jit
 def add_vector(a: Array, b: Array, factor: float) -> Array:
     """``a + factor b`` of two vectors."""
-    out = np.empty_like(a)
+    out = np.empty(a.shape[0])
     for i in range(a.shape[0]):
         out[i] = a[i] + factor * b[i]
     return out
@@ -143,6 +145,15 @@ def unrotate(matrix: Array, v: Array) -> Array:
         for j in range(m):
             out[j] += matrix[i, j] * v[i]
     return out
+
+
+@jit
+def norm(v: Array) -> float:
+    """Length of a vector."""
+    s = 0.0
+    for i in range(v.shape[0]):
+        s += v[i] * v[i]
+    return math.sqrt(s)
 
 
 @jit
@@ -206,7 +217,7 @@ def _coefficients(t: float) -> tuple[float, float, float]:
 @jit_wrapped
 def exp(phi: Array) -> Array:
     """Rotation matrix (3, 3) of the rotation vector `phi` (3,) in rad (Rodrigues)."""
-    a, b, _ = _coefficients(np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2))
+    a, b, _ = _coefficients(norm(phi))
     return _quadratic(phi, a, b)
 
 
@@ -231,17 +242,16 @@ def quaternion(matrix: Array) -> Array:
         q[1 + k] = 1 + 2 * m[k, k] - trace
         q[1 + i] = m[i, k] + m[k, i]
         q[1 + j] = m[j, k] + m[k, j]
-    norm = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    sign = 1.0 if q[0] >= 0 else -1.0
+    scale = (1.0 if q[0] >= 0 else -1.0) / norm(q)
     for i in range(4):
-        q[i] *= sign / norm
+        q[i] *= scale
     return q
 
 
 @jit_wrapped
 def from_quaternion(q_wxyz: Array) -> Array:
     """Rotation matrix of a Hamilton quaternion, scalar first; normalises it."""
-    n = np.sqrt(q_wxyz[0] ** 2 + q_wxyz[1] ** 2 + q_wxyz[2] ** 2 + q_wxyz[3] ** 2)
+    n = norm(q_wxyz)
     v = np.empty(3)
     for i in range(3):
         v[i] = q_wxyz[1 + i] / n
@@ -253,7 +263,7 @@ def log(matrix: Array) -> Array:
     """Rotation vector (3,) in rad, angle at most pi. Through the quaternion, which keeps
     all digits near 0 and near pi, where the trace formula has lost half of them."""
     q = quaternion(matrix)
-    n = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    n = norm(q[1:])
     stretch = 2.0 / q[0] if n < 1e-12 else 2 * np.arctan2(n, q[0]) / n
     v = np.empty(3)
     for i in range(3):
@@ -262,27 +272,16 @@ def log(matrix: Array) -> Array:
 
 
 @jit
-def local_each(a: Array, b: Array) -> Array:
-    """Log(a_k^T b_k) of rotations (N, 3, 3) in pairs: (N, 3), rad."""
-    out = np.empty((a.shape[0], 3))
-    for k in range(a.shape[0]):
-        turned = log(transpose_multiply(a[k], b[k]))
-        for i in range(3):
-            out[k, i] = turned[i]
-    return out
-
-
-@jit
 def right_jacobian(phi: Array) -> Array:
     """``J_r``: ``Exp(phi + d) = Exp(phi) Exp(J_r d)`` to first order."""
-    _, b, c = _coefficients(np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2))
+    _, b, c = _coefficients(norm(phi))
     return _quadratic(phi, -b, c)
 
 
 @jit
 def right_jacobian_inverse(phi: Array) -> Array:
     """Inverse of :func:`right_jacobian`; finite for angles below 2 pi."""
-    t = np.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
+    t = norm(phi)
     s = t * t
     if t < _SERIES:
         c = (1 + s / 60 * (1 + s / 42 * (1 + s / 40 * (1 + s / 39.6)))) / 12

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit, jit_wrapped
+from relnav_graph.compiled import INDEX_MATRIX, MATRIX, jit, jit_as, jit_wrapped
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.units import unit_scale
 
@@ -84,9 +84,15 @@ class Block:
     def local(self, a: Array, b: Array) -> Array:
         """Tangent vectors (..., dim) from values `a` to values `b`, both of one shape."""
         if self.manifold == "SO3":
-            stacks = (np.ascontiguousarray(m, dtype=np.float64).reshape(-1, 3, 3) for m in (a, b))
-            return so3.local_each(*stacks).reshape(*a.shape[:-2], 3)
+            stacks = (np.ascontiguousarray(m, dtype=np.float64).reshape(-1, 9) for m in (a, b))
+            out = np.empty((*a.shape[:-2], 3))
+            local_all(*stacks, _ROTATION, out.reshape(-1, 3))
+            return out
         return b - a
+
+
+#: The kinds, as in :func:`retract`, of one attitude.
+_ROTATION = np.array([[1, 0, 0, 3]])
 
 
 @jit_wrapped
@@ -138,6 +144,15 @@ def times_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) 
 
 
 @jit
+def times_transposed_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) -> None:
+    """``a = a J^T``: the right Jacobian at -d is the transpose of that at d."""
+    back = np.empty(d.shape[0])
+    for i in range(d.shape[0]):
+        back[i] = -d[i]
+    times_jacobian(a, back, kinds, inverse)
+
+
+@jit
 def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
     """That Jacobian (n, n)."""
     out = so3.identity(d.shape[0])
@@ -145,22 +160,18 @@ def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
     return out
 
 
-@jit
+@jit_as(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
 def retract_all(x: Array, d: Array, kinds: NDArray[np.int64], out: Array) -> None:
     """:func:`retract` for each row."""
     for k in range(x.shape[0]):
-        one = retract(x[k], d[k], kinds)
-        for i in range(one.shape[0]):
-            out[k, i] = one[i]
+        so3.put_vector(out[k], 0, retract(x[k], d[k], kinds))
 
 
-@jit
+@jit_as(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
 def local_all(a: Array, b: Array, kinds: NDArray[np.int64], out: Array) -> None:
     """:func:`local` for each row."""
     for k in range(a.shape[0]):
-        one = local(a[k], b[k], kinds, out.shape[1])
-        for i in range(one.shape[0]):
-            out[k, i] = one[i]
+        so3.put_vector(out[k], 0, local(a[k], b[k], kinds, out.shape[1]))
 
 
 class Layout:
@@ -275,7 +286,8 @@ class Layout:
         if x.ndim == 1:
             return retract(x, d, self.kinds)
         out = np.empty((len(d), self.size))
-        retract_all(np.ascontiguousarray(x), np.ascontiguousarray(d), self.kinds, out)
+        x, d = (np.ascontiguousarray(v, dtype=np.float64) for v in (x, d))
+        retract_all(x, d, self.kinds, out)
         return out
 
     def local(self, a: Array, b: Array) -> Array:
@@ -283,7 +295,8 @@ class Layout:
         if a.ndim == 1:
             return local(a, b, self.kinds, self.dim)
         out = np.empty((len(a), self.dim))
-        local_all(np.ascontiguousarray(a), np.ascontiguousarray(b), self.kinds, out)
+        a, b = (np.ascontiguousarray(v, dtype=np.float64) for v in (a, b))
+        local_all(a, b, self.kinds, out)
         return out
 
     def right_jacobian(self, d: Array) -> Array:

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.assembly import Assembly
-from relnav_graph.compiled import INDICES, MATRIX, STACK, VECTOR, jit_as
+from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
 from relnav_graph.errors import EstimationError
-from relnav_graph.loops import INDEX_MATRIX, TABLES, interval_row, observe, propagate
+from relnav_graph.loops import TABLES, interval_row, observe, propagate
 from relnav_graph.matrices import householder, inverse_upper, sandwich
 from relnav_graph.noise import inverse_cholesky
 from relnav_graph.problem import Prior
@@ -55,6 +55,17 @@ class Anchor:
 def anchor_of(prior: Prior) -> Anchor:
     """The prior as an anchor."""
     return Anchor(prior.x, inverse_cholesky("the prior", prior.P), np.zeros(len(prior.P)))
+
+
+@jit
+def _put_rows(a: Array, row: int, e: Array, A: Array) -> float:
+    """Write rows ``A d = -e``, from `row` on; their squared length."""
+    squares, n = 0.0, A.shape[1]
+    so3.put(a, row, 0, A, 1.0)
+    for i in range(e.shape[0]):
+        a[row + i, n] = -e[i]
+        squares += e[i] * e[i]
+    return squares
 
 
 @jit_as(
@@ -96,17 +107,12 @@ def _sweep(
     most, damped = 0, damping.shape[0] > 0
     for k in range(count):
         most = max(most, row_offsets[k + 1] - row_offsets[k])
-    a = np.zeros((n + max(n, most + (n if damped else 0)), 2 * n + 1))
+    a = np.zeros((n + max(n, most + (n if damped else 0)), 2 * n + 4))
     r_all, H_all = np.empty(most), np.empty((most, n))
     x_next, F, Q = np.zeros(x.shape[1]), np.empty((n, n)), np.empty((n, n))
     e, A, B = np.empty(n), np.empty((n, n)), np.empty((n, n))
-    squares = 0.0
     # Columns of a: this epoch, the right-hand side, the next epoch.
-    for i in range(n):
-        for j in range(n):
-            a[i, j] = prior_A[i, j]
-        a[i, n] = -prior_e[i]
-        squares += prior_e[i] * prior_e[i]
+    squares = _put_rows(a, 0, prior_e, prior_A)
     for k in range(count):
         first, last = epoch_offsets[k], epoch_offsets[k + 1]
         m = row_offsets[k + 1] - row_offsets[k]
@@ -125,11 +131,7 @@ def _sweep(
             H,
             status[first:last],
         )
-        for i in range(m):
-            squares += r[i] * r[i]
-            for j in range(n):
-                a[n + i, j] = H[i, j]
-            a[n + i, n] = -r[i]
+        squares += _put_rows(a, n, r, H)
         rows = n + m
         if damped:
             for i in range(n):
@@ -150,13 +152,9 @@ def _sweep(
                 failure[0], failure[1], failure[2] = k, process, code
                 return
             interval_row(x_next, x[k + 1], F, whiten[k], kinds, e, A, B)
-            for i in range(n):
-                squares += e[i] * e[i]
-                for j in range(n):
-                    a[i, n + 1 + j] = 0.0
-                    a[n + i, j] = A[i, j]
-                    a[n + i, n + 1 + j] = B[i, j]
-                a[n + i, n] = -e[i]
+            so3.put(a, 0, n + 1, B, 0.0)
+            so3.put(a, n, n + 1, B, 1.0)
+            squares += _put_rows(a, n, e, A)
             householder(a, n, n, 2 * n, 2 * n + 1)
         for i in range(n):
             d[k, i] = a[i, n]

@@ -12,22 +12,22 @@ from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.loops import ROW, ROWS, SENSOR, observe
 from relnav_graph.matrices import (
-    cholesky,
     householder,
     inverse_upper,
     product,
+    scaled_cholesky,
     solve_lower,
     symmetrize,
+    transpose,
 )
 from relnav_graph.robust import HUBER, root_weight
-from relnav_graph.state import local, retract, times_jacobian
+from relnav_graph.state import local, retract, times_jacobian, times_transposed_jacobian
 
 __all__ = [
     "copy",
     "innovation_covariance",
     "misfit",
     "robust_update",
-    "scaled_cholesky",
     "sum_of_squares",
     "to_tangent",
 ]
@@ -58,24 +58,15 @@ def sum_of_squares(v: Array) -> float:
 
 
 @jit
-def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
-    """L of the correlation matrix of P, and the sigmas; False unless positive definite."""
-    for i in range(P.shape[0]):
-        scale[i] = np.sqrt(P[i, i])
-    for i in range(P.shape[0]):
-        for j in range(P.shape[0]):
-            L[i, j] = P[i, j] / (scale[i] * scale[j])
-    return cholesky(L)
-
-
-@jit
 def _squared_length(L: Array, scale: Array, d: Array) -> float:
     """``d^T P^-1 d``, from the factor of the correlation matrix."""
-    v = np.empty((d.shape[0], 1))
+    v, squares = np.empty((d.shape[0], 1)), 0.0
     for i in range(d.shape[0]):
         v[i, 0] = d[i] / scale[i]
     solve_lower(L, v)
-    return sum_of_squares(v[:, 0])
+    for i in range(d.shape[0]):
+        squares += v[i, 0] * v[i, 0]
+    return squares
 
 
 @jit
@@ -92,7 +83,7 @@ def innovation_covariance(H: Array, P: Array, HP: Array, S: Array) -> None:
 
 @jit
 def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
-    """Triangularise the rows ``y`` and ``innovation + H C y`` in a (n + rows, n + 1).
+    """Triangularise the rows ``y`` and ``innovation + H C y`` in a (n + rows, n + 4).
 
     With ``C C^T`` the covariance before, y is the step in its sigmas: R of the result is
     the square root of the information after, and R y = a[:n, n]. By reflections, so that
@@ -102,11 +93,10 @@ def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
     G = np.empty((rows, n))
     product(H, C, G)
     for i in range(n + rows):
-        for j in range(n + 1):
+        for j in range(a.shape[1]):
             a[i, j] = 1.0 if i == j else 0.0
+    so3.put(a, n, 0, G, 1.0)
     for i in range(rows):
-        for j in range(n):
-            a[n + i, j] = G[i, j]
         a[n + i, n] = -innovation[i]
     householder(a, n, n, n + rows, n + 1)
 
@@ -151,28 +141,20 @@ def misfit(H: Array, P: Array, r: Array) -> float:
     for i in range(n):
         for j in range(n):
             C[i, j] *= scale[i]
-    a = np.empty((n + H.shape[0], n + 1))
+    a, squares = np.empty((n + H.shape[0], n + 4)), 0.0
     _least_squares(H, C, r, a)
-    return sum_of_squares(a[n:, n].copy())
+    for i in range(n, a.shape[0]):
+        squares += a[i, n] * a[i, n]
+    return squares
 
 
 @jit
 def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
     """``P = J P J^T``: a covariance moved to the tangent of the state that is d away (or,
     inverse, from there). Exactly symmetric."""
-    for k in range(kinds.shape[0]):
-        if kinds[k, 0]:
-            j = kinds[k, 2]
-            phi = so3.vector_at(d, j)
-            J = so3.right_jacobian_inverse(phi) if inverse else so3.right_jacobian(phi)
-            for c in range(P.shape[0]):
-                a0, a1, a2 = P[j, c], P[j + 1, c], P[j + 2, c]
-                for m in range(3):
-                    P[j + m, c] = J[m, 0] * a0 + J[m, 1] * a1 + J[m, 2] * a2
-            for c in range(P.shape[0]):
-                a0, a1, a2 = P[c, j], P[c, j + 1], P[c, j + 2]
-                for m in range(3):
-                    P[c, j + m] = J[m, 0] * a0 + J[m, 1] * a1 + J[m, 2] * a2
+    times_transposed_jacobian(P, d, kinds, inverse)
+    transpose(P)
+    times_transposed_jacobian(P, d, kinds, inverse)
     symmetrize(P)
 
 
@@ -217,13 +199,13 @@ def update(
     r, H, H0 = np.empty(rows), np.empty((rows, n)), np.empty((rows, n))
     r_try, H_try = np.empty(rows), np.empty((rows, n))
     status, status_try = np.empty(last - first, np.int64), np.empty(last - first, np.int64)
-    C, a, innovation = np.empty((n, n)), np.empty((n + rows, n + 1)), np.empty(rows)
+    C, a, innovation = np.empty((n, n)), np.empty((n + rows, n + 4)), np.empty(rows)
     for i in range(n):
         for j in range(n):
             C[i, j] = scale[i] * L[i, j]
-    at = x.copy().reshape(1, x.shape[0])
+    at, step, e = np.empty((1, x.shape[0])), np.empty((1, n)), np.zeros(n)
+    so3.put_vector(at[0], 0, x)
     observe(sensors, observations, places, numbers, first, last, epoch, at, weight, r, H, status)
-    e = np.zeros(n)
     cost = sum_of_squares(r)
     for _ in range(iterations):
         copy(H, H0)
@@ -234,20 +216,15 @@ def update(
                 innovation[i] -= H0[i, j] * e[j]
         _least_squares(H0, C, innovation, a)
         ahead = _solution(C, a)
-        step = np.empty((1, n))
         for j in range(n):
             step[0, j] = ahead[j] - e[j]
-        _stepto_tangent(step, e, kinds)
+        times_transposed_jacobian(step, e, kinds, False)  # to the tangent of x
         if iterations == 1:
-            moved = retract(x, step[0], kinds)
-            for i in range(x.shape[0]):
-                x[i] = moved[i]
+            so3.put_vector(x, 0, retract(x, step[0], kinds))
             break
         found = False
         for _halving in range(10):
-            moved = retract(x, step[0], kinds)
-            for i in range(x.shape[0]):
-                at[0, i] = moved[i]
+            so3.put_vector(at[0], 0, retract(x, step[0], kinds))
             observe(
                 sensors,
                 observations,
@@ -263,7 +240,7 @@ def update(
                 status_try,
             )
             if _possible(status, status_try):
-                e = local(x0, moved, kinds, n)
+                so3.put_vector(e, 0, local(x0, at[0], kinds, n))
                 cost_try = _squared_length(L, scale, e) + sum_of_squares(r_try)
                 if cost_try <= cost * (1 + 1e-9) + 1e-9:
                     found = True
@@ -275,9 +252,11 @@ def update(
         # The length of the step in sigmas of the posterior; the next would be its square.
         length2 = _squared_length(L, scale, step[0]) + sum_of_squares(so3.rotate(H, step[0]))
         cost = cost_try
-        for i in range(x.shape[0]):
-            x[i] = moved[i]
-        r, r_try, H, H_try, status, status_try = r_try, r, H_try, H, status_try, status
+        so3.put_vector(x, 0, at[0])
+        so3.put_vector(r, 0, r_try)
+        copy(H_try, H)
+        for i in range(last - first):
+            status[i] = status_try[i]
         if length2 < 1e-6:
             break
     _covariance(C, a, P)
@@ -312,41 +291,24 @@ def robust_update(
     robust = False
     for i in range(count):
         robust = robust or losses[i, 0] != 0.0
-    if not robust:
-        return update(
-            sensors,
-            observations,
-            places,
-            numbers,
-            kinds,
-            epoch,
-            first,
-            last,
-            rows,
-            iterations,
-            weight,
-            x,
-            P,
-        )
     chosen, x0, P0 = weight.copy(), x.copy(), P.copy()
-    r, H, status = np.empty(rows), np.empty((rows, P.shape[0])), np.empty(count, np.int64)
-    s2 = innovations.copy()
+    at, r, H = np.empty((1, x.shape[0])), np.empty(rows), np.empty((rows, P.shape[0]))
+    status, s2 = np.empty(count, np.int64), innovations.copy()
     for turn in range(ROUNDS):
         change = 0.0
         for i in range(count):
-            if chosen[i] == 0.0:
-                continue
             kind, c = losses[i, 0], losses[i, 1]
+            if kind == 0.0 or chosen[i] == 0.0:
+                continue
             # Losses that redescend have many minima: first towards that of the convex one.
-            if kind != 0.0 and turn < CONVEX_ROUNDS:
+            if turn < CONVEX_ROUNDS:
                 kind, c = float(HUBER), 1.345
             root = root_weight(kind, c, s2[i])
             change = max(change, abs(root - weight[i]))
             weight[i] = root
         if turn > CONVEX_ROUNDS and change < WEIGHT_TOLERANCE:
             break
-        for i in range(x.shape[0]):
-            x[i] = x0[i]
+        so3.put_vector(x, 0, x0)
         copy(P0, P)
         if not update(
             sensors,
@@ -364,7 +326,9 @@ def robust_update(
             P,
         ):
             return False
-        at = x.copy().reshape(1, x.shape[0])
+        if not robust:
+            break
+        so3.put_vector(at[0], 0, x)
         observe(
             sensors,
             observations,
@@ -386,13 +350,3 @@ def robust_update(
             if status[i] != 0:  # impossible now: it does not fit
                 s2[i] = np.inf
     return True
-
-
-@jit
-def _stepto_tangent(step: Array, e: Array, kinds: Indices) -> None:
-    """``step = J step``, one row."""
-    for k in range(kinds.shape[0]):
-        if kinds[k, 0]:
-            j = kinds[k, 2]
-            turned = so3.rotate(so3.right_jacobian(so3.vector_at(e, j)), so3.vector_at(step[0], j))
-            so3.put_vector(step[0], j, turned)

@@ -23,6 +23,7 @@ from relnav_graph.io.results import read_results
 from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
 from relnav_graph.metrics import summary
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario, read_toml
+from relnav_graph.state import CHASER_ATTITUDE
 from relnav_graph.track import Track, Truth
 
 Array = NDArray[np.float64]
@@ -312,7 +313,7 @@ def test_noise_along_random_directions_is_normal_in_length() -> None:
         rng = np.random.default_rng(0)
         found = sim.measure("v", sensor, sim.Timing(law=law), truth, rng)
         seen = np.array([so3.from_quaternion(m.z[0]) for m in found])
-        e = so3.local_each(R, seen) / 0.01
+        e = CHASER_ATTITUDE.local(R, seen) / 0.01
         np.testing.assert_allclose(e.T @ e / 5000, np.eye(3), atol=0.08)
         sizes.append(np.linalg.norm(e, axis=1).mean() / np.sqrt(3))
     # Of a normal vector, and of a normal number.

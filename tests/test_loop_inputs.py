@@ -17,7 +17,7 @@ from relnav_graph.deviation import errors
 from relnav_graph.errors import InputError
 from relnav_graph.loop import fly
 from relnav_graph.scenario import make_scenario
-from relnav_graph.state import Block
+from relnav_graph.state import CHASER_ATTITUDE, Block
 from relnav_graph.track import Truth
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ def test_inputs_are_true_means_with_errors_that_no_command_changes() -> None:
     found = []
     for f in (one, other):
         R = truth_of(f).values["chaser_attitude"]
-        mean = so3.local_each(np.ascontiguousarray(R[:-1]), np.ascontiguousarray(R[1:]))
+        mean = CHASER_ATTITUDE.local(R[:-1], R[1:])
         u = np.array([epoch.inputs["chaser"] for epoch in f.problem.epochs[1:]])
         assert u.shape == (200, 4, 4)
         found.append(u[:, :, 1:] - mean[:, None])
