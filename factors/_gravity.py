@@ -50,7 +50,7 @@ def zonal_gravity(p: Array, r_i: Array, lowest: int) -> tuple[Array, Array]:
     mu J_n R^n r^-(n+2) (P'_n+1(s) r_i / r - P'_n(s) z); J_0 = -1 is the sphere's (Vallado
     2013, section 8.6; written with P'_n+1 = (n + 1) P_n + s P'_n).
     """
-    r = np.sqrt(r_i[0] ** 2 + r_i[1] ** 2 + r_i[2] ** 2)
+    r = so3.norm(r_i)
     n_i, z_i, across = r_i / r, np.zeros(3), np.empty(3)
     z_i[2] = 1.0
     first, second = _legendre(n_i[2])

@@ -17,9 +17,9 @@ def principal_ratios(k: Array) -> tuple[Array, Array]:
     """l = tanh(k_x, k_y, -(k_x + k_y)), (3,), and its Jacobian to (k_x, k_y), (3, 2)."""
     l, jacobian = np.empty(3), np.zeros((3, 2))
     l[0], l[1], l[2] = np.tanh(k[0]), np.tanh(k[1]), -np.tanh(k[0] + k[1])
-    jacobian[0, 0] = 1 - l[0] ** 2
-    jacobian[1, 1] = 1 - l[1] ** 2
-    jacobian[2, 0] = jacobian[2, 1] = l[2] ** 2 - 1
+    jacobian[0, 0] = 1 - l[0] * l[0]
+    jacobian[1, 1] = 1 - l[1] * l[1]
+    jacobian[2, 0] = jacobian[2, 1] = l[2] * l[2] - 1
     return l, jacobian
 
 

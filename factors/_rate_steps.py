@@ -85,7 +85,7 @@ def published_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Arra
 
     Their q + q' h, made a unit quaternion again, turns by 2 atan(|w| h / 2) about w.
     """
-    w1, turn = np.empty_like(w), np.zeros_like(w)
+    w1, turn = np.empty((3, w.shape[1])), np.zeros((3, w.shape[1]))
     euler_acceleration(w, A, dA, w1)
     half2 = 0.25 * h * h * (w[0, 0] ** 2 + w[1, 0] ** 2 + w[2, 0] ** 2)
     half = np.sqrt(half2)

@@ -17,7 +17,7 @@ OPPOSITE = 1
 def direction(p: Array, jacobian: Array) -> tuple[Array, float]:
     """Unit vector (3,) along p (3,), and its length. jacobian: of p, (3, n); becomes that of
     the unit vector."""
-    distance = np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
+    distance = so3.norm(p)
     b = np.empty(3)
     for i in range(3):
         b[i] = p[i] / distance
@@ -38,11 +38,10 @@ def tangent_basis(b: Array) -> Array:
     axis = np.zeros(3)
     axis[smallest] = 1.0
     first = so3.cross(b, axis)
-    norm = np.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
-    second = so3.cross(b, first)
+    length, second = so3.norm(first), so3.cross(b, first)
     out = np.empty((3, 2))
     for i in range(3):
-        out[i, 0], out[i, 1] = first[i] / norm, second[i] / norm
+        out[i, 0], out[i, 1] = first[i] / length, second[i] / length
     return out
 
 
@@ -52,7 +51,7 @@ def turned(lines: Array, e: Array) -> Array:
     out = np.empty(lines.shape)
     for k in range(lines.shape[0]):
         basis = tangent_basis(lines[k])
-        angle = np.sqrt(e[k, 0] ** 2 + e[k, 1] ** 2)
+        angle = so3.norm(e[k])
         stretch = np.sin(angle) / angle if angle > 0.0 else 1.0
         for i in range(3):
             step = basis[i, 0] * e[k, 0] + basis[i, 1] * e[k, 1]
@@ -71,7 +70,7 @@ def sphere_residual(z: Array, b: Array, db: Array, row: int, r: Array, H: Array)
     basis = tangent_basis(z)
     across = so3.unrotate(basis, b)
     c = z[0] * b[0] + z[1] * b[1] + z[2] * b[2]
-    s = np.sqrt(across[0] ** 2 + across[1] ** 2)
+    s = so3.norm(across)
     angle = np.arctan2(s, c)
     if angle > 3.14:
         return OPPOSITE

@@ -33,17 +33,26 @@ def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) ->
     Values stand at `row`, their rates at ``row + 3``; variance: squared density of the
     white noise that drives the rates (Bar-Shalom, Li, Kirubarajan 2001, eq. 6.2.2-12).
     """
+    of_rate = variance * h
+    joint = of_rate * h / 2
+    of_value = joint * h * 2 / 3
     for i in range(row, row + 3):
-        Q[i, i] += variance * h**3 / 3
-        Q[i, 3 + i] += variance * h**2 / 2
-        Q[3 + i, i] += variance * h**2 / 2
-        Q[3 + i, 3 + i] += variance * h
+        Q[i, i] += of_value
+        Q[i, 3 + i] += joint
+        Q[3 + i, i] += joint
+        Q[3 + i, 3 + i] += of_rate
+
+
+@jit
+def carry(step: Array, F: Array, Q: Array) -> None:
+    """Bring the sensitivity F and the noise Q of what came before to the end of a step."""
+    so3.put(F, 0, 0, so3.multiply(step, F), 1.0)
+    so3.put(Q, 0, 0, so3.propagate_covariance(step, Q), 1.0)
 
 
 @jit
 def add_step(step: Array, variance: float, h: float, F: Array, Q: Array) -> None:
-    """Bring the sensitivity F and the noise Q of what came before to the end of a step of h
-    seconds, whose first three values are driven as in `add_integrated_white_noise`."""
-    so3.put(F, 0, 0, so3.multiply(step, F), 1.0)
-    so3.put(Q, 0, 0, so3.propagate_covariance(step, Q), 1.0)
+    """:func:`carry` over a step of h seconds, whose first three values are driven as in
+    `add_integrated_white_noise`."""
+    carry(step, F, Q)
     add_integrated_white_noise(Q, 0, variance, h)

@@ -29,7 +29,8 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
     however small the separation. motion: see `relnav_graph.orbit.chief_motion`.
     """
     radius, rate, rate_dot = motion[0], motion[3], motion[4]
-    q = (x[0] * (x[0] + 2 * radius) + x[1] ** 2 + x[2] ** 2) / radius**2
+    rate2 = rate * rate
+    q = (x[0] * (x[0] + 2 * radius) + x[1] * x[1] + x[2] * x[2]) / (radius * radius)
     stretch = q * (3 + 3 * q + q * q) / (1 + (1 + q) ** 1.5)
     distance = radius * np.sqrt(1 + q)
     pull = mu / distance**3
@@ -37,15 +38,15 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
     for i in range(3):
         out[i] = -pull * x[i]
         n[i] = x[i] / distance
-    out[0] += pull * stretch * radius + 2 * rate * x[4] + rate_dot * x[1] + rate**2 * x[0]
-    out[1] += -2 * rate * x[3] - rate_dot * x[0] + rate**2 * x[1]
+    out[0] += pull * stretch * radius + 2 * rate * x[4] + rate_dot * x[1] + rate2 * x[0]
+    out[1] += -2 * rate * x[3] - rate_dot * x[0] + rate2 * x[1]
     n[0] += radius / distance
     for i in range(3):
         for j in range(3):
             jacobian[i, j] = 3 * pull * n[i] * n[j]
         jacobian[i, i] -= pull
-    jacobian[0, 0] += rate**2
-    jacobian[1, 1] += rate**2
+    jacobian[0, 0] += rate2
+    jacobian[1, 1] += rate2
     jacobian[0, 1] += rate_dot
     jacobian[1, 0] -= rate_dot
     jacobian[0, 4] = 2 * rate

@@ -49,17 +49,17 @@ def _rotate(
     n = x.shape[0] - 6  # of the tangent
     R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), x[12:]
     total, noise, step = so3.identity(n), np.zeros((n, n)), so3.identity(n)
+    angle = np.empty(3)
     for _ in range(steps):
         before = start_of(w, n - 3)
         if p[7] != 0.0:
             after, turn = published_step(before, A, dA, h)
         else:
             after, turn = rate_step(before, A, dA, h)
-        angle = np.empty(3)
         for i in range(3):
             w[i], angle[i] = after[i, 0], turn[i, 0]
         ahead, bend = so3.exp(angle), so3.right_jacobian(angle)
-        R_ot = so3.multiply(R_ot, ahead)
+        so3.put(R_ot, 0, 0, so3.multiply(R_ot, ahead), 1.0)
         for i in range(3):
             for j in range(3):
                 step[i, j] = ahead[j, i]
@@ -71,8 +71,8 @@ def _rotate(
         add_step(step, p[4] ** 2, h, total, noise)
         for i in range(6, n):
             noise[i, i] += p[5] ** 2 * h
-    R_ot = so3.multiply(frame_rotation(p, t, t + length), R_ot)
-    so3.put_matrix(x_next, 0, so3.project(R_ot))
+    R_next = so3.multiply(frame_rotation(p, t, t + length), R_ot)
+    so3.put_matrix(x_next, 0, so3.project(R_next))
     so3.put_vector(x_next, 9, w)
     so3.put_vector(x_next, 12, k)
     so3.put(F, 0, 0, total, 1.0)

@@ -31,7 +31,7 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     line = so3.vector_at(x, 0)
     for i in range(3):
         line[i] -= z[1 + i]
-    distance = np.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2)
+    distance = so3.norm(line)
     if distance == 0.0:
         return 1
     r[0] = distance + x[3] - z[0]

@@ -18,7 +18,7 @@ from relnav_graph.units import Quantity
 
 from ._gauss_markov import walk_and_integral
 from ._strapdown import GYRO_COLUMNS, LARGEST_TURN, condense
-from ._white_noise import duration
+from ._white_noise import carry, duration
 
 Array = NDArray[np.float64]
 
@@ -36,26 +36,26 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     for row in range(u.shape[0]):
         dt = u[row, 0]
         kept, counts, own, of_integral = walk_and_integral(dt, p[10])
+        joint = counts * counts / 2
         for i in range(3):
             turn[i] = u[row, 1 + i] * dt - b[i] * counts
         ahead = so3.exp(turn)
-        R_oc = so3.multiply(R_oc, ahead)
+        so3.put(R_oc, 0, 0, so3.multiply(R_oc, ahead), 1.0)
         for i in range(3):
             for j in range(3):
                 step[i, j] = ahead[j, i]
             step[3 + i, 3 + i] = kept
             b[i] *= kept
         so3.put(step, 0, 3, so3.right_jacobian(turn), -counts)
-        total = so3.multiply(step, total)
-        noise = so3.propagate_covariance(step, noise)
+        carry(step, total, noise)
         for i in range(3):
-            v2, u2 = p[4 + i] ** 2, p[7 + i] ** 2
-            noise[i, i] += v2 * dt + u2 * of_integral
-            noise[i, 3 + i] -= u2 * counts**2 / 2
-            noise[3 + i, i] -= u2 * counts**2 / 2
-            noise[3 + i, 3 + i] += u2 * own
-    R_oc = so3.multiply(frame_rotation(p, t, t + duration(u)), R_oc)
-    so3.put_matrix(x_next, 0, so3.project(R_oc))
+            v, w = p[4 + i], p[7 + i]
+            noise[i, i] += v * v * dt + w * w * of_integral
+            noise[i, 3 + i] -= w * w * joint
+            noise[3 + i, i] -= w * w * joint
+            noise[3 + i, 3 + i] += w * w * own
+    R_next = so3.multiply(frame_rotation(p, t, t + duration(u)), R_oc)
+    so3.put_matrix(x_next, 0, so3.project(R_next))
     so3.put_vector(x_next, 9, b)
     so3.put(F, 0, 0, total, 1.0)
     so3.put(Q, 0, 0, noise, 1.0)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import MATRIX, STACK, jit, jit_as
 from relnav_graph.models import DerivedQuantity
 from relnav_graph.state import (
     BODY_RATE,
@@ -45,7 +45,7 @@ def position_in_target(R_ot: Array, r_tc_o: Array) -> tuple[Array, Array]:
     return r_tc_t, jacobian
 
 
-@jit
+@jit_as(STACK, STACK, STACK, STACK)
 def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -> None:
     """`relative_attitude` at N epochs, into the last two arguments."""
     for k in range(R_oc.shape[0]):
@@ -54,7 +54,7 @@ def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -
         so3.put(jacobian[k], 0, 0, slope, 1.0)
 
 
-@jit
+@jit_as(STACK, MATRIX, MATRIX, STACK)
 def positions_in_target(R_ot: Array, r_tc_o: Array, r_tc_t: Array, jacobian: Array) -> None:
     """`position_in_target` at N epochs, into the last two arguments."""
     for k in range(R_ot.shape[0]):
@@ -73,7 +73,7 @@ class RelativeAttitude(DerivedQuantity):
 
     def values(self, *x: Array) -> tuple[Array, Array]:
         """R_tc (N, 3, 3) and its Jacobian (N, 3, 6)."""
-        R_oc, R_ot = (np.ascontiguousarray(v) for v in x)
+        R_oc, R_ot = (np.ascontiguousarray(v, dtype=np.float64) for v in x)
         out, jacobian = np.empty(R_oc.shape), np.empty((len(R_oc), 3, 6))
         relative_attitudes(R_oc, R_ot, out, jacobian)
         return out, jacobian
@@ -89,7 +89,7 @@ class PositionInTarget(DerivedQuantity):
 
     def values(self, *x: Array) -> tuple[Array, Array]:
         """r_tc_t (N, 3) and its Jacobian (N, 3, 6)."""
-        R_ot, r_tc_o = (np.ascontiguousarray(v) for v in x)
+        R_ot, r_tc_o = (np.ascontiguousarray(v, dtype=np.float64) for v in x)
         out, jacobian = np.empty(r_tc_o.shape), np.empty((len(R_ot), 3, 6))
         positions_in_target(R_ot, r_tc_o, out, jacobian)
         return out, jacobian
