@@ -125,6 +125,11 @@ def _busy(path: Path) -> bool:
     return False
 
 
+#: Locks that this process holds, innermost last: that of a function, then those of what it
+#: calls, while it is compiled or loaded.
+_HELD: list[Path] = []
+
+
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Alone with a file among all processes; without one where it cannot be written."""
@@ -132,7 +137,11 @@ def _locked(path: Path) -> Iterator[None]:
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             fcntl.flock(stack.enter_context(path.open("w")), fcntl.LOCK_EX)
-        yield
+        _HELD.append(path)
+        try:
+            yield
+        finally:
+            _HELD.remove(path)
 
 
 @contextmanager
@@ -183,11 +192,13 @@ def _call_by_symbol(compiled: Any, folder: Path, vectorize: str) -> None:
         arguments = tuple(sigutils.normalize_signature(signature)[0])
         if arguments in symbols:
             return compiled.overloads[arguments].entry_point
-        text = f"{function.__module__}.{function.__qualname__}{arguments} {folder}"
+        version = "/".join(folder.parts[-2:])  # no whole path: a cache may be moved
+        text = f"{function.__module__}.{function.__qualname__}{arguments} {version}"
         symbol = "relnav_" + hashlib.sha256(text.encode()).hexdigest()
-        # Who holds no lock may do something else in the meantime; who holds one, and waited
-        # for a lock on the way, might wait for itself.
-        while not _CALLED and _TASKS and _busy(folder / f"{symbol}.lock"):
+        # Who holds no lock may do something else in the meantime; who holds one might come to
+        # wait for itself. Callers are locked before what they call, so that nobody waits for
+        # each other.
+        while not _HELD and _TASKS and _busy(folder / f"{symbol}.lock"):
             _make(_TASKS.pop())
         with global_compiler_lock, _locked(folder / f"{symbol}.lock"), _no_collection():
             entry = compile_(signature)

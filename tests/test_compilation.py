@@ -49,9 +49,9 @@ def package(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def start(package: Path, program: str) -> subprocess.Popen[str]:
+def start(package: Path, program: str, cache: str = "cache") -> subprocess.Popen[str]:
     """A process that shares its cache with the others of a package."""
-    where = {"RELNAV_CACHE_DIR": str(package / "cache"), "PYTHONPATH": str(package)}
+    where = {"RELNAV_CACHE_DIR": str(package / cache), "PYTHONPATH": str(package)}
     return subprocess.Popen(
         [sys.executable, "-c", program],
         env={**os.environ, **where},
@@ -73,6 +73,12 @@ def test_the_next_process_compiles_nothing(package: Path) -> None:
     assert result(start(package, PROGRAM)) == ["9.0"]
 
 
+def test_a_cache_may_be_moved(package: Path) -> None:
+    result(start(package, PROGRAM))
+    (package / "cache").rename(package / "moved")
+    assert result(start(package, PROGRAM, "moved")) == ["9.0"]
+
+
 def test_a_constant_in_another_file_reaches_the_cache(package: Path) -> None:
     """numba's own cache would go on with the old one."""
     kernels, constants = package / "outsider" / "kernels.py", package / "outsider" / "constants.py"
@@ -90,6 +96,29 @@ def test_processes_at_once_compile_each_function_once(package: Path) -> None:
     found = [result(process) for process in [start(package, PROGRAM) for _ in range(3)]]
     assert {value for value, *_ in found} == {"9.0"}
     assert Counter(name for _, *names in found for name in names) == {"f": 1, "g": 1, "root": 1}
+
+
+def test_who_waits_for_a_lock_and_holds_one_does_nothing_else(package: Path) -> None:
+    """It loads a loop, somebody has what the loop calls, and the next task is the same loop."""
+    upper = package / "outsider" / "upper.py"
+    upper.write_text(
+        "from relnav_graph.compiled import VECTOR, jit_as\nfrom outsider.lower import root\n"
+        "@jit_as(VECTOR)\ndef loop(x):\n    x[0] = root(x[0])\n"
+    )
+    compile_root = "from outsider.lower import root; from numba import float64\n"
+    result(start(package, compile_root + "root.compile((float64,))"))
+    locks = [str(path) for path in package.glob("cache/**/*.lock")]
+    assert len(locks) == 1
+    call = "import numpy as np; x = np.full(1, 9.0); loop(x); print(x[0])"
+    assert result(start(package, f"from outsider.upper import loop; {call}")) == ["3.0"]
+    program = (
+        "import fcntl, threading\nfrom outsider.upper import loop\n"
+        "from relnav_graph import compilation\n"
+        f"file = open({locks[0]!r}, 'a')\nfcntl.flock(file, fcntl.LOCK_EX)\n"
+        "threading.Timer(0.5, file.close).start()\n"
+        "compilation._TASKS[:] = ['outsider.upper:loop/prepare']\n"
+    )
+    assert result(start(package, program + call)) == ["3.0"]
 
 
 def test_callers_hold_no_copy_of_what_they_call(package: Path) -> None:
