@@ -145,16 +145,18 @@ def call_dynamics(
     return DYNAMICS_KERNEL.return_type(types.int64, *DYNAMICS_KERNEL.args), _call(DYNAMICS_KERNEL)
 
 
-#: The loops of `jit_as` in the modules imported so far, "module:name".
+#: The loops of `jit_as` in the modules imported so far that helpers compile, "module:name".
 _LOOPS: list[str] = []
 
 
-def jit_as(*arguments: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def jit_as(
+    *arguments: Any, ahead: bool = True
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Compile at the first call, for exactly these numba argument types, returning nothing.
 
     For the generic loops, which take a kernel by its address, so that one compiled loop
     serves every kernel. Calls skip numba's dispatch: arrays must be of the type and layout
-    declared.
+    declared. ahead: whether helpers compile it (`announce`): not what a program calls first.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
@@ -168,7 +170,8 @@ def jit_as(*arguments: Any) -> Callable[[Callable[..., None]], Callable[..., Non
             entry()(*values)
 
         call.prepare = entry  # type: ignore[attr-defined]
-        _LOOPS.append(f"{function.__module__}:{function.__qualname__}")
+        if ahead:
+            _LOOPS.append(f"{function.__module__}:{function.__qualname__}")
         return call
 
     return decorate
@@ -188,6 +191,6 @@ def announce(sensors: Iterable[Any], processes: Iterable[Any]) -> None:
     known = [(k.py_func, compiler) for k, compiler in kernels if hasattr(k, "py_func")]
     # This process simulates first, then asks for the kernels, one by one: the helpers begin
     # with the loops, which come last.
-    tasks = [f"{loop}/prepare" for loop in _LOOPS if ".sim." not in loop]
+    tasks = [f"{loop}/prepare" for loop in _LOOPS]
     tasks += [f"{f.__module__}:{f.__name__}/{compiler}" for f, compiler in reversed(known)]
     compile_ahead(tasks, (f.__code__.co_filename for f, _ in known))

@@ -86,7 +86,7 @@ def _derivative(orbit: Array, body: Array, t: float, y: Array, command: Array, o
     so3.put_vector(out, 4, so3.rotate(so3.matrix_at(body, 9), torque))
 
 
-@jit_as(VECTOR, MATRIX, VECTOR, VECTOR, VECTOR)
+@jit_as(VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, ahead=False)
 def advance(orbit: Array, bodies: Array, span: Array, command: Array, y: Array) -> None:
     """Move y (14,) on in place by the classical Runge-Kutta method.
 

@@ -95,7 +95,7 @@ def _step(mu: float, inertia: Array, disturbance: Array, h: float, y: Array, k: 
         y[i] += h * change
 
 
-@jit_as(VECTOR, VECTOR, INDICES, VECTOR, MATRIX, MATRIX)
+@jit_as(VECTOR, VECTOR, INDICES, VECTOR, MATRIX, MATRIX, ahead=False)
 def integrate(
     p: Array, y0: Array, counts: NDArray[np.int64], h: Array, disturbance: Array, out: Array
 ) -> None:
