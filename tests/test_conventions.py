@@ -332,7 +332,13 @@ def test_inertia_stands_in_the_state_as_ratios() -> None:
     np.testing.assert_allclose((w_next - w) / 1e-5, want, atol=1e-7)
     # The truth speaks of the same ones, whatever the size of the body.
     for size in (1.0, 1e3):
-        pair = RigidBodyPair(7e6, np.zeros(3), np.zeros(3), size * np.array([jx, jy, jz]), w)
+        pair = RigidBodyPair(
+            semi_major_axis=7e6,
+            relative_position=np.zeros(3),
+            relative_velocity=np.zeros(3),
+            target_inertia=size * np.array([jx, jy, jz]),
+            target_rate=w,
+        )
         at_start = pair.simulate(np.zeros(1), np.random.default_rng(0)).values
         np.testing.assert_allclose(at_start["inertia_parameters"][0], k)
 

@@ -16,7 +16,7 @@ from relnav_graph import so3
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
-from relnav_graph.sim.truth import checked_times, initial_orbits
+from relnav_graph.sim.truth import OrbitElements, checked_times
 from relnav_graph.state import TRACELESS
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
@@ -135,11 +135,11 @@ class TumblingBody:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class InertialPair(TumblingBody):
+class InertialPair(TumblingBody, OrbitElements):
     """A chaser on a two-body orbit near a tumbling target; o is the inertial frame.
 
-    semi_major_axis (m), eccentricity, true_anomaly, inclination, raan, argument_of_perigee
-    (rad): orbit of the chaser. relative_position: r_tc, m, and relative_velocity, m/s, its
+    semi_major_axis to argument_of_perigee (see `relnav_graph.sim.truth.OrbitElements`): orbit
+    of the chaser. relative_position: r_tc, m, and relative_velocity, m/s, its
     derivative there, in RTN axes of the chaser's orbit. chaser_attitude: R_ic as a rotation
     vector, rad; chaser_rate: w_ci_c, rad/s, constant.
 
@@ -155,14 +155,8 @@ class InertialPair(TumblingBody):
         TumblingBody.leaves_out
     )
 
-    semi_major_axis: Annotated[float, Quantity("m", positive=True)]
     relative_position: Annotated[Array, Quantity("m", (3,))]
     relative_velocity: Annotated[Array, Quantity("m/s", (3,))] = field(default_factory=_zeros)
-    eccentricity: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
-    true_anomaly: Annotated[float, Quantity("rad")] = 0.0
-    inclination: Annotated[float, Quantity("rad")] = 0.0
-    raan: Annotated[float, Quantity("rad")] = 0.0
-    argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
     chaser_attitude: Annotated[Array, Quantity("rad", (3,))] = field(default_factory=_zeros)
     chaser_rate: Annotated[Array, Quantity("rad/s", (3,))] = field(default_factory=_zeros)
     relative_acceleration_density: Annotated[float, Quantity("m/s^1.5", nonnegative=True)] = 0.0
@@ -176,7 +170,7 @@ class InertialPair(TumblingBody):
     def _craft(self) -> Array:
         """(12,): position and velocity of the chaser, then those of the target relative to
         it, in i at t = 0: the orbit that has noise of its own is integrated itself."""
-        return initial_orbits(self, -self.relative_position, -self.relative_velocity)
+        return self.initial_orbits(-self.relative_position, -self.relative_velocity)
 
     def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
         """Truth at `times` (N,), s: increasing, the first not before t = 0.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from relnav_graph import so3
 from relnav_graph.errors import InputError
 from relnav_graph.sim.powered_dynamics import fly_orbits, sample_attitude, wobbled
-from relnav_graph.sim.truth import checked_times, initial_orbits
+from relnav_graph.sim.truth import OrbitElements, checked_times
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
@@ -33,12 +33,12 @@ def nadir_attitude(r: Array, v: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PoweredOrbits:
+class PoweredOrbits(OrbitElements):
     """Chaser and target under gravity with J2, J3, J4, each with an acceleration of its own
     that wanders (Gauss-Markov); the chaser has a thruster. All holds at the first epoch.
 
-    semi_major_axis (m), eccentricity, true_anomaly, inclination, raan, argument_of_perigee
-    (rad): orbit of the target. relative_position: r_tc, m, and relative_velocity, m/s, its
+    semi_major_axis to argument_of_perigee (see `relnav_graph.sim.truth.OrbitElements`): orbit
+    of the target. relative_position: r_tc, m, and relative_velocity, m/s, its
     derivative there, in RTN axes of the target. mass: kg, constant; max_thrust: N, the
     longest that a command can have; acceleration_sigma: m/s^2, per axis, and
     acceleration_time_constant: s, of the wandering accelerations. The chaser's z looks at the
@@ -53,14 +53,8 @@ class PoweredOrbits:
 
     kind: ClassVar[str] = "powered_orbits"
 
-    semi_major_axis: Annotated[float, Quantity("m", positive=True)]
     relative_position: Annotated[Array, Quantity("m", (3,))]
     relative_velocity: Annotated[Array, Quantity("m/s", (3,))] = field(default_factory=_zeros)
-    eccentricity: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
-    true_anomaly: Annotated[float, Quantity("rad")] = 0.0
-    inclination: Annotated[float, Quantity("rad")] = 0.0
-    raan: Annotated[float, Quantity("rad")] = 0.0
-    argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
     mass: Annotated[float, Quantity("kg", positive=True)]
     max_thrust: Annotated[float, Quantity("N", nonnegative=True)]
     acceleration_sigma: Annotated[float, Quantity("m/s^2", nonnegative=True)] = 0.0
@@ -90,7 +84,7 @@ class PoweredOrbits:
 
     def craft(self) -> Array:
         """(12,): position and velocity of the target, then of the chaser."""
-        y = initial_orbits(self, self.relative_position, self.relative_velocity)
+        y = self.initial_orbits(self.relative_position, self.relative_velocity)
         y[6:] += y[:6]
         return y
 

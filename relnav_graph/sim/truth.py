@@ -7,7 +7,7 @@ hide in the data that they are tested with.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from relnav_graph.sim.integrate import STATE_SIZE, integrate
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
-__all__ = ["RigidBodyPair", "checked_times", "initial_orbits"]
+__all__ = ["OrbitElements", "RigidBodyPair", "checked_times"]
 
 Array = NDArray[np.float64]
 
@@ -28,15 +28,57 @@ def _zeros() -> Array:
     return np.zeros(3)
 
 
-@dataclass(frozen=True, eq=False)
-class RigidBodyPair:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OrbitElements:
+    """The orbit of a craft at t = 0, for a truth that has another one beside it.
+
+    semi_major_axis (m), eccentricity (0 <= e < 1), true_anomaly, inclination, raan,
+    argument_of_perigee (rad).
+    """
+
+    semi_major_axis: Annotated[float, Quantity("m", positive=True)]
+    eccentricity: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
+    true_anomaly: Annotated[float, Quantity("rad")] = 0.0
+    inclination: Annotated[float, Quantity("rad")] = 0.0
+    raan: Annotated[float, Quantity("rad")] = 0.0
+    argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
+
+    def initial_R_io(self) -> Array:
+        """From RTN axes of the orbit to inertial ones."""
+        z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+        latitude = self.argument_of_perigee + self.true_anomaly
+        plane = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
+        return np.asarray(plane @ so3.exp(latitude * z))
+
+    def initial_orbits(self, position: Array, velocity: Array, mu: float = MU_EARTH) -> Array:
+        """(12,): position and velocity of the craft in i, then those of the other relative
+        to it.
+
+        position: of the other from the craft, m, and velocity, m/s, its derivative there, in
+        RTN axes of the orbit. Raises InputError on an orbit that is not an ellipse.
+        """
+        e, nu = self.eccentricity, self.true_anomaly
+        if e >= 1:
+            raise InputError(f"{type(self).__name__}.eccentricity: found {e}, expected below 1")
+        parameter = self.semi_major_axis * (1 - e * e)
+        radius = parameter / (1 + e * np.cos(nu))
+        momentum = np.sqrt(mu * parameter)
+        v_o = np.array([mu / momentum * e * np.sin(nu), momentum / radius, 0.0])
+        w_oi_o = np.array([0.0, 0.0, momentum / radius**2])
+        # Derivative taken in i, components in o.
+        d_dot_o = velocity + np.cross(w_oi_o, position)
+        R_io = self.initial_R_io()
+        return np.concatenate([radius * R_io[:, 0], R_io @ v_o, R_io @ position, R_io @ d_dot_o])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RigidBodyPair(OrbitElements):
     """Two craft on two-body orbits; the target a free rigid body, the chaser turning steadily.
 
     All that follows holds at t = 0. Frame o is RTN of the target's orbit.
 
-    semi_major_axis (m), eccentricity (0 <= e < 1), true_anomaly, inclination, raan,
-    argument_of_perigee (rad), mu (m^3/s^2): orbit of the target.
-    relative_position: r_tc_o, m; relative_velocity: its derivative in o, m/s.
+    semi_major_axis to argument_of_perigee (see `OrbitElements`), mu (m^3/s^2): orbit of the
+    target. relative_position: r_tc_o, m; relative_velocity: its derivative in o, m/s.
     target_attitude, chaser_attitude: R_ot and R_oc as rotation vectors, rad.
     target_inertia: principal moments about the axes of t, kg m^2; target_rate: w_ti_t,
     rad/s; chaser_rate: w_ci_c, rad/s, constant.
@@ -51,16 +93,10 @@ class RigidBodyPair:
 
     kind: ClassVar[str] = "rigid_body_pair"
 
-    semi_major_axis: Annotated[float, Quantity("m", positive=True)]
     relative_position: Annotated[Array, Quantity("m", (3,))]
     relative_velocity: Annotated[Array, Quantity("m/s", (3,))]
     target_inertia: Annotated[Array, Quantity("kg*m^2", (3,), positive=True)]
     target_rate: Annotated[Array, Quantity("rad/s", (3,))]
-    eccentricity: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
-    true_anomaly: Annotated[float, Quantity("rad")] = 0.0
-    inclination: Annotated[float, Quantity("rad")] = 0.0
-    raan: Annotated[float, Quantity("rad")] = 0.0
-    argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
     mu: Annotated[float, Quantity("m^3/s^2", positive=True)] = MU_EARTH
     target_attitude: Annotated[Array, Quantity("rad", (3,))] = field(default_factory=_zeros)
     chaser_attitude: Annotated[Array, Quantity("rad", (3,))] = field(default_factory=_zeros)
@@ -71,10 +107,7 @@ class RigidBodyPair:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.eccentricity >= 1:
-            raise InputError(
-                f"RigidBodyPair.eccentricity: found {self.eccentricity}, expected below 1"
-            )
+        self._orbits()
         J = self.target_inertia
         if 2 * J.max() >= J.sum():
             raise InputError(
@@ -101,7 +134,7 @@ class RigidBodyPair:
         disturbance /= np.sqrt(np.repeat(h, counts))[:, None]
         y = np.empty((len(t), STATE_SIZE))
         p = np.array([self.mu, *self.target_inertia])
-        integrate(p, self.initial_state(), counts, h, disturbance, y)
+        integrate(p, self._initial_state(), counts, h, disturbance, y)
         return Truth(
             t=t,
             values=self._values(t, y),
@@ -125,34 +158,13 @@ class RigidBodyPair:
             raise InputError(f"mean_rate: the interval from t = {t} s does not run forwards")
         return np.tile(self.chaser_rate, (len(backwards), 1))
 
-    def _initial_R_io(self) -> Array:
-        z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-        latitude = self.argument_of_perigee + self.true_anomaly
-        plane = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
-        return np.asarray(plane @ so3.exp(latitude * z))
+    def _orbits(self) -> Array:
+        return self.initial_orbits(self.relative_position, self.relative_velocity, self.mu)
 
-    def initial_state(self) -> Array:
+    def _initial_state(self) -> Array:
         """The state y (19,) at t = 0; see `relnav_graph.sim.integrate`."""
-        e, nu = self.eccentricity, self.true_anomaly
-        parameter = self.semi_major_axis * (1 - e * e)
-        radius = parameter / (1 + e * np.cos(nu))
-        momentum = np.sqrt(self.mu * parameter)
-        v_ti_o = np.array([self.mu / momentum * e * np.sin(nu), momentum / radius, 0.0])
-        w_oi_o = np.array([0.0, 0.0, momentum / radius**2])
-        # Derivative taken in i, components in o.
-        d_dot_o = self.relative_velocity + np.cross(w_oi_o, self.relative_position)
-        R_io = self._initial_R_io()
-        R_it = R_io @ so3.exp(self.target_attitude.copy())
-        return np.concatenate(
-            [
-                radius * R_io[:, 0],
-                R_io @ v_ti_o,
-                R_io @ self.relative_position,
-                R_io @ d_dot_o,
-                so3.quaternion(R_it),
-                self.target_rate,
-            ]
-        )
+        R_it = self.initial_R_io() @ so3.exp(self.target_attitude.copy())
+        return np.concatenate([self._orbits(), so3.quaternion(R_it), self.target_rate])
 
     def _values(self, t: Array, y: Array) -> dict[str, Array]:
         """Values of the blocks from the integrated states y (N, 19)."""
@@ -166,7 +178,7 @@ class RigidBodyPair:
         w_oi_o = np.zeros_like(r_tc_o)
         w_oi_o[:, 2] = momentum / (r_i**2).sum(axis=1)
         R_it = np.stack([so3.from_quaternion(q) for q in y[:, 12:16]])
-        R_ic0 = self._initial_R_io() @ so3.exp(self.chaser_attitude.copy())
+        R_ic0 = self.initial_R_io() @ so3.exp(self.chaser_attitude.copy())
         R_ic = R_ic0 @ np.stack([so3.exp(self.chaser_rate * s) for s in t])
         jx, jy, jz = self.target_inertia
         inertia_parameters = np.arctanh([(jy - jz) / jx, (jz - jx) / jy])
@@ -195,22 +207,3 @@ def checked_times(times: Array) -> Array:
         k = backwards[0]
         raise InputError(f"times: found {t[k + 1]} s after {t[k]} s, expected increasing times")
     return t
-
-
-def initial_orbits(elements: Any, relative_position: Array, relative_velocity: Array) -> Array:
-    """(12,): position and velocity of a craft in i at t = 0, then those of another relative
-    to it.
-
-    elements: has the fields of `RigidBodyPair` that describe the orbit of the first;
-    relative_position: m, and relative_velocity, m/s, its derivative there, in RTN axes of
-    that orbit. Raises InputError on an orbit that is not an ellipse.
-    """
-    names = ("semi_major_axis", "eccentricity", "true_anomaly", "inclination", "raan")
-    pair = RigidBodyPair(
-        **{name: getattr(elements, name) for name in (*names, "argument_of_perigee")},
-        relative_position=relative_position,
-        relative_velocity=relative_velocity,
-        target_inertia=np.ones(3),
-        target_rate=np.zeros(3),
-    )
-    return pair.initial_state()[:12]
