@@ -86,7 +86,7 @@ class Online:
     def __init__(self, problem: Problem, kind: str) -> None:
         estimator = find_class(GROUP, kind)()
         if not hasattr(estimator, "engine"):
-            raise ModelError(f"estimator {kind!r} is for whole passes; it cannot be driven online")
+            raise ModelError(f"estimator {kind!r} cannot be driven online: it has no `engine`")
         self.problem, self.kind = problem, kind
         self.engine: Engine = estimator.engine(problem)
         self.counts: dict[str, dict[str, int]] = {name: {} for name in problem.sensors}
@@ -368,7 +368,7 @@ def online(kind: str, problem: Problem) -> Online:
     """An estimator of a kind, to be driven online.
 
     problem: without epochs, or they are ignored. Raises ModelError when there is none of
-    that kind, or it is for whole passes only.
+    that kind, or it has no ``engine``.
     """
     return Online(problem, kind)
 
