@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from relnav_graph.noise import inverse_cholesky, measurement_noise, raised, with
 from relnav_graph.problem import Epoch, Problem, check_epoch
 from relnav_graph.state import Layout
 
-__all__ = ["Assembly", "MeasurementRows", "ProcessRows", "Tables"]
+__all__ = ["Assembly", "MeasurementRows", "ProcessRows"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -46,18 +46,6 @@ class MeasurementRows:
     r: Array
     H: Array
     status: Indices
-
-
-class Tables(NamedTuple):
-    """A pass for the compiled loops: see the columns in `relnav_graph.loops`."""
-
-    sensors: Indices
-    observations: Indices
-    processes: Indices
-    intervals: Indices
-    starts: Array
-    places: Indices
-    numbers: Array
 
 
 class _Store:
@@ -157,7 +145,7 @@ class Assembly:
             for k, epoch in enumerate(epochs[len(epochs) - len(starts) :]):
                 u = epoch.inputs[name]
                 intervals[k, i] = numbers.add(u)[0], len(u)
-        self.tables = Tables(
+        self.tables = loops.Tables(
             *(sensor_table, observations, process_table, intervals),
             *(np.ascontiguousarray(starts), places, numbers.array()),
         )
@@ -323,7 +311,7 @@ class Assembly:
         count = int(self.row_offsets[-1])
         r, H = np.empty(count), np.empty((count, self.layout.dim))
         status = np.empty(self.observations, dtype=np.int64)
-        loops.measure(*self.tables, x, weight, r, H, status)
+        loops.measure(self.tables, x, weight, r, H, status)
         self.check(status)
         return MeasurementRows(r, H, status)
 
@@ -355,7 +343,7 @@ class Assembly:
         m, n = len(self.tables.starts), self.layout.dim
         x_next, F, Q = np.zeros((m, self.layout.size)), np.empty((m, n, n)), np.empty((m, n, n))
         failure = np.zeros(3, dtype=np.int64)
-        loops.transition(*self.tables, x, x_next, F, Q, failure)
+        loops.transition(self.tables, x, x_next, F, Q, failure)
         self.check_propagated(failure)
         return x_next, F, Q
 
@@ -364,7 +352,7 @@ class Assembly:
         whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
         if not np.einsum("kii->ki", Q).all():
             Q = with_constraints(Q)
-        loops.whitening(self.tables.processes, self.tables.places, Q, whiten, failure)
+        loops.whitening(self.tables, Q, whiten, failure)
         if failure[2]:
             name = list(self._processes)[failure[1]]
             _, own = self.layout.gather(self._processes[name].advances)

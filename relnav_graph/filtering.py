@@ -8,22 +8,10 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
-from relnav_graph.loops import (
-    ROW,
-    ROWS,
-    SENSOR,
-    TABLES,
-    observe,
-    propagate,
-)
+from relnav_graph.loops import ROW, ROWS, SENSOR, TABLES, Tables, observe, propagate
 from relnav_graph.matrices import cholesky, sandwich, solve_lower
 from relnav_graph.robust import root_weight
-from relnav_graph.updating import (
-    copy,
-    innovation_covariance,
-    misfit,
-    robust_update,
-)
+from relnav_graph.updating import copy, innovation_covariance, misfit, robust_update
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
 
@@ -40,8 +28,7 @@ FAILURES = {
 
 @jit
 def _gate(
-    observations: Indices,
-    sensors: Indices,
+    tables: Tables,
     S: Array,
     r: Array,
     limit: Array,
@@ -58,8 +45,9 @@ def _gate(
     for i in range(weight.shape[0]):
         if weight[i] == 0.0 or not (np.isfinite(limit[i]) or losses[i, 0] != 0.0):
             continue
-        start = observations[first + i, ROW] - observations[first, ROW]
-        rows = sensors[observations[first + i, SENSOR], ROWS]
+        one = tables.observations[first + i]
+        start = one[ROW] - tables.observations[first, ROW]
+        rows = tables.sensors[one[SENSOR], ROWS]
         own, v = np.empty((rows, rows)), np.empty((rows, 1))
         for a in range(rows):
             v[a, 0] = r[start + a]
@@ -85,19 +73,13 @@ def _finite(v: Array) -> bool:
 
 
 @jit_as(
-    *TABLES,
+    TABLES,
     *(INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX, types.int64, types.int64, types.int64),
     *(VECTOR, MATRIX, MATRIX, STACK, STACK, STACK),
     *(MATRIX, STACK, VECTOR, VECTOR, INDICES, INDICES),
 )
 def filter_epochs(
-    sensors: Indices,
-    observations: Indices,
-    processes: Indices,
-    intervals: Indices,
-    starts: Array,
-    places: Indices,
-    numbers: Array,
+    tables: Tables,
     epoch_offsets: Indices,
     row_offsets: Indices,
     kinds: Indices,
@@ -128,7 +110,7 @@ def filter_epochs(
     observation, weight (the square root of a robust one, 0 for one left out). failure (4,):
     what stopped it, process or observation, status, epoch.
     """
-    lag = epoch_offsets.shape[0] - 1 - starts.shape[0]
+    lag = epoch_offsets.shape[0] - 1 - tables.starts.shape[0]
     xk, Pk = x_before.copy(), P_before.copy()
     n, most = Pk.shape[0], 0
     for k in range(begin, end):
@@ -138,18 +120,7 @@ def filter_epochs(
         slot = k % F.shape[0]
         failure[3] = k
         if k >= lag:
-            a, status = propagate(
-                processes,
-                intervals,
-                starts,
-                places,
-                numbers,
-                k - lag,
-                xk,
-                x_predicted[k],
-                F[slot],
-                Q[0],
-            )
+            a, status = propagate(tables, k - lag, xk, x_predicted[k], F[slot], Q[0])
             if status != 0:
                 failure[0], failure[1], failure[2] = PROPAGATED, a, status
                 return
@@ -169,10 +140,7 @@ def filter_epochs(
             own_losses, own_weight = losses[first:last], weight[first:last]
             own_squares = squares[: last - first]
             _measured_epoch(
-                sensors,
-                observations,
-                places,
-                numbers,
+                tables,
                 k,
                 first,
                 last,
@@ -188,10 +156,7 @@ def filter_epochs(
                 failure,
             )
             if failure[0] == 0 and not robust_update(
-                sensors,
-                observations,
-                places,
-                numbers,
+                tables,
                 kinds,
                 k,
                 first,
@@ -219,10 +184,7 @@ def filter_epochs(
 
 @jit
 def _measured_epoch(
-    sensors: Indices,
-    observations: Indices,
-    places: Indices,
-    numbers: Array,
+    tables: Tables,
     k: int,
     first: int,
     last: int,
@@ -245,18 +207,19 @@ def _measured_epoch(
         weight[i] = 1.0
     at = np.empty((1, x.shape[0]))
     so3.put_vector(at[0], 0, x)
-    observe(sensors, observations, places, numbers, first, last, k, at, weight, r, H, status)
+    observe(tables, first, last, k, at, weight, r, H, status)
     for i in range(last - first):
         if status[i] < 0:
             failure[0], failure[1], failure[2] = SENSOR_BROKE, first + i, status[i]
             return
         weight[i] = 1.0 if status[i] == 0 else 0.0
     innovation_covariance(H, P, HP, S)
-    _gate(observations, sensors, S, r, limit, losses, first, weight, squares)
+    _gate(tables, S, r, limit, losses, first, weight, squares)
     # Rows that are not used stand aside: nothing seen, nothing to see.
     for i in range(last - first):
-        start = observations[first + i, ROW] - observations[first, ROW]
-        count = sensors[observations[first + i, SENSOR], ROWS]
+        one = tables.observations[first + i]
+        start = one[ROW] - tables.observations[first, ROW]
+        count = tables.sensors[one[SENSOR], ROWS]
         if weight[i] != 0.0:
             used[k] += count
             if losses[i, 0] != 0.0:  # the misfit counts as far as the loss lets it

@@ -3,13 +3,16 @@
 Compiled once for all models: a kernel comes as an address. A kernel that leaves an entry
 unfilled, or writes past its arrays, is found out here.
 
-A pass comes as tables (`relnav_graph.assembly.Tables`): one row of integers per sensor,
-observation, process and interval, which say where each one's numbers stand in one long array.
+A pass comes as `Tables`: one row of integers per sensor, observation, process and interval,
+which say where each one's numbers stand in one long array.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from relnav_graph import so3
@@ -33,6 +36,7 @@ from relnav_graph.state import local, times_jacobian, times_transposed_jacobian
 __all__ = [
     "BROKEN",
     "TABLES",
+    "Tables",
     "interval_row",
     "interval_rows",
     "measure",
@@ -45,9 +49,26 @@ __all__ = [
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Types of a pass's tables: sensors, observations, processes, intervals, starts of the
-#: intervals, places in the state, numbers.
-TABLES = (INDEX_MATRIX, INDEX_MATRIX, INDEX_MATRIX, INDEX_STACK, VECTOR, INDICES, VECTOR)
+
+class Tables(NamedTuple):
+    """A pass for the compiled loops; what the columns are stands below.
+
+    sensors, observations, processes: one row each; intervals: one row each, of one pair for
+    each process; starts: of the intervals, s; places: in the state; numbers: all others.
+    """
+
+    sensors: Indices
+    observations: Indices
+    processes: Indices
+    intervals: Indices
+    starts: Array
+    places: Indices
+    numbers: Array
+
+
+TABLES = types.NamedTuple(
+    (INDEX_MATRIX, INDEX_MATRIX, INDEX_MATRIX, INDEX_STACK, VECTOR, INDICES, VECTOR), Tables
+)
 
 # Columns of the tables. X, X + 1: where X begins and ends, p, q, z, the whitening and u in
 # the numbers, the others in the places.
@@ -59,10 +80,7 @@ U_DATA, U_ROWS = 0, 1  # of intervals, one pair for each process
 
 # Statuses that the loops add to those of the kernels, and what they mean.
 UNFILLED, OUTSIDE = -1, -2
-BROKEN = {
-    UNFILLED: "left an entry unfilled or not finite",
-    OUTSIDE: "wrote past its arrays",
-}
+BROKEN = {UNFILLED: "left an entry unfilled or not finite", OUTSIDE: "wrote past its arrays"}
 
 
 @jit
@@ -105,10 +123,7 @@ def _gather(x: Array, places: Indices, out: Array) -> None:
 
 @jit
 def observe(
-    sensors: Indices,
-    observations: Indices,
-    places: Indices,
-    numbers: Array,
+    tables: Tables,
     first: int,
     last: int,
     epoch: int,
@@ -127,35 +142,20 @@ def observe(
         r[i] = 0.0
         for j in range(H.shape[1]):
             H[i, j] = 0.0
-    start = first
+    start, sensor_of = first, tables.observations[:, SENSOR]
     while start < last:  # a run of one sensor's
-        stop = start + 1
-        while stop < last and observations[stop, SENSOR] == observations[start, SENSOR]:
+        stop, sensor = start + 1, sensor_of[start]
+        while stop < last and sensor_of[stop] == sensor:
             stop += 1
-        _observe_run(
-            sensors[observations[start, SENSOR]],
-            observations,
-            places,
-            numbers,
-            first,
-            start,
-            stop,
-            epoch,
-            x,
-            weight,
-            r,
-            H,
-            status,
-        )
+        one = tables.sensors[sensor]
+        _observe_run(tables, one, first, start, stop, epoch, x, weight, r, H, status)
         start = stop
 
 
 @jit
 def _observe_run(
+    tables: Tables,
     sensor: Indices,
-    observations: Indices,
-    places: Indices,
-    numbers: Array,
     first: int,
     start: int,
     stop: int,
@@ -167,6 +167,7 @@ def _observe_run(
     status: Indices,
 ) -> None:
     """:func:`observe` of those from `start` to `stop`, which are one sensor's."""
+    observations, places, numbers = tables.observations, tables.places, tables.numbers
     p = numbers[sensor[P] : sensor[P + 1]]
     gather = places[sensor[GATHER] : sensor[GATHER + 1]]
     columns = places[sensor[COLUMNS] : sensor[COLUMNS + 1]]
@@ -201,16 +202,7 @@ def _observe_run(
 
 @jit
 def propagate(
-    processes: Indices,
-    intervals: Indices,
-    starts: Array,
-    places: Indices,
-    numbers: Array,
-    k: int,
-    x: Array,
-    x_next: Array,
-    F: Array,
-    Q: Array,
+    tables: Tables, k: int, x: Array, x_next: Array, F: Array, Q: Array
 ) -> tuple[int, int]:
     """Fill x_next (size,), F and Q (n, n) of interval k from x (size,).
 
@@ -219,8 +211,9 @@ def propagate(
     for i in range(F.shape[0]):
         for j in range(F.shape[1]):
             F[i, j] = Q[i, j] = 0.0
-    for a in range(processes.shape[0]):
-        process = processes[a]
+    intervals, places, numbers = tables.intervals, tables.places, tables.numbers
+    for a in range(tables.processes.shape[0]):
+        process = tables.processes[a]
         p = numbers[process[P] : process[P + 1]]
         gather = places[process[GATHER] : process[GATHER + 1]]
         scatter = places[process[SCATTER] : process[SCATTER + 1]]
@@ -237,7 +230,7 @@ def propagate(
         f_out = _matrix(f_buffer, GUARD, m, n)
         q_out = _matrix(q_buffer, GUARD, m, m)
         u = _matrix(numbers, intervals[k, a, U_DATA], intervals[k, a, U_ROWS], process[WIDTH])
-        status = call_dynamics(process[ADDRESS], p, starts[k], u, x_one, x_out, f_out, q_out)
+        status = call_dynamics(process[ADDRESS], p, tables.starts[k], u, x_one, x_out, f_out, q_out)
         wrong = min(_verdict(x_buffer), _verdict(f_buffer), _verdict(q_buffer))
         if wrong == OUTSIDE or (wrong == UNFILLED and status == 0):
             status = wrong
@@ -253,64 +246,36 @@ def propagate(
     return -1, 0
 
 
-@jit_as(*TABLES, MATRIX, VECTOR, VECTOR, MATRIX, INDICES)
-def measure(
-    sensors: Indices,
-    observations: Indices,
-    processes: Indices,
-    intervals: Indices,
-    starts: Array,
-    places: Indices,
-    numbers: Array,
-    x: Array,
-    weight: Array,
-    r: Array,
-    H: Array,
-    status: Indices,
-) -> None:
+@jit_as(TABLES, MATRIX, VECTOR, VECTOR, MATRIX, INDICES)
+def measure(tables: Tables, x: Array, weight: Array, r: Array, H: Array, status: Indices) -> None:
     """Fill the rows r, H of all observations of a pass at the states x (N, size)."""
-    last = observations.shape[0]
-    observe(sensors, observations, places, numbers, 0, last, 0, x, weight, r, H, status)
+    observe(tables, 0, tables.observations.shape[0], 0, x, weight, r, H, status)
 
 
-@jit_as(*TABLES, MATRIX, MATRIX, STACK, STACK, INDICES)
+@jit_as(TABLES, MATRIX, MATRIX, STACK, STACK, INDICES)
 def transition(
-    sensors: Indices,
-    observations: Indices,
-    processes: Indices,
-    intervals: Indices,
-    starts: Array,
-    places: Indices,
-    numbers: Array,
-    x: Array,
-    x_next: Array,
-    F: Array,
-    Q: Array,
-    failure: Indices,
+    tables: Tables, x: Array, x_next: Array, F: Array, Q: Array, failure: Indices
 ) -> None:
     """Propagate the states x (M, size) over all intervals, into x_next, F, Q.
 
     failure (3,): interval, process and status where one cannot be propagated.
     """
-    for k in range(starts.shape[0]):
-        process, status = propagate(
-            processes, intervals, starts, places, numbers, k, x[k], x_next[k], F[k], Q[k]
-        )
+    for k in range(tables.starts.shape[0]):
+        process, status = propagate(tables, k, x[k], x_next[k], F[k], Q[k])
         if status != 0:
             failure[0], failure[1], failure[2] = k, process, status
             return
 
 
-@jit_as(INDEX_MATRIX, INDICES, STACK, STACK, INDICES)
-def whitening(
-    processes: Indices, places: Indices, Q: Array, whiten: Array, failure: Indices
-) -> None:
+@jit_as(TABLES, STACK, STACK, INDICES)
+def whitening(tables: Tables, Q: Array, whiten: Array, failure: Indices) -> None:
     """Inverse Cholesky factors of the process noise Q (M, n, n), process by process.
 
     failure (3,): interval, process and 1 where one is not positive definite.
     """
-    for a in range(processes.shape[0]):
-        rows = places[processes[a, ROWS] : processes[a, ROWS + 1]]
+    for a in range(tables.processes.shape[0]):
+        process = tables.processes[a]
+        rows = tables.places[process[ROWS] : process[ROWS + 1]]
         n = rows.shape[0]
         own, L, scale = np.empty((n, n)), np.empty((n, n)), np.empty(n)
         for k in range(Q.shape[0]):

@@ -21,7 +21,7 @@ from relnav_graph import so3
 from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
 from relnav_graph.errors import EstimationError
-from relnav_graph.loops import TABLES, interval_row, observe, propagate
+from relnav_graph.loops import TABLES, Tables, interval_row, observe, propagate
 from relnav_graph.matrices import householder, inverse_upper, sandwich
 from relnav_graph.noise import inverse_cholesky
 from relnav_graph.problem import Prior
@@ -69,18 +69,12 @@ def _put_rows(a: Array, row: int, e: Array, A: Array) -> float:
 
 
 @jit_as(
-    *TABLES,
+    TABLES,
     *(INDICES, INDICES, INDEX_MATRIX, MATRIX, VECTOR, STACK, VECTOR, MATRIX, MATRIX),
     *(STACK, STACK, MATRIX, STACK, INDICES, VECTOR, INDICES),
 )
 def _sweep(
-    sensors: Indices,
-    observations: Indices,
-    processes: Indices,
-    intervals: Indices,
-    starts: Array,
-    places: Indices,
-    numbers: Array,
+    tables: Tables,
     epoch_offsets: Indices,
     row_offsets: Indices,
     kinds: Indices,
@@ -117,20 +111,7 @@ def _sweep(
         first, last = epoch_offsets[k], epoch_offsets[k + 1]
         m = row_offsets[k + 1] - row_offsets[k]
         r, H = r_all[:m], H_all[:m]
-        observe(
-            sensors,
-            observations,
-            places,
-            numbers,
-            first,
-            last,
-            0,
-            x,
-            weight[first:last],
-            r,
-            H,
-            status[first:last],
-        )
+        observe(tables, first, last, 0, x, weight[first:last], r, H, status[first:last])
         squares += _put_rows(a, n, r, H)
         rows = n + m
         if damped:
@@ -145,9 +126,7 @@ def _sweep(
                 for j in range(i, n + 1):
                     known[k, i, j] = a[i, j]
         if k < count - 1:
-            process, code = propagate(
-                processes, intervals, starts, places, numbers, k, x[k], x_next, F, Q
-            )
+            process, code = propagate(tables, k, x[k], x_next, F, Q)
             if code != 0:
                 failure[0], failure[1], failure[2] = k, process, code
                 return
@@ -273,7 +252,7 @@ def linearize(
     status, cost = np.zeros(assembly.observations, dtype=np.int64), np.zeros(1)
     known, failure = np.zeros((count * keep, n, n + 1)), np.zeros(3, dtype=np.int64)
     _sweep(
-        *(*assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
+        *(assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
         *(assembly.layout.kinds, x, weight, whiten, *anchor.rows(assembly.layout, x[0])),
         *(np.zeros((0, n)) if damping is None else damping, R, S, d),
         *(known, status, cost, failure),

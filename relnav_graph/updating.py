@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
-from relnav_graph.loops import ROW, ROWS, SENSOR, observe
+from relnav_graph.loops import ROW, ROWS, SENSOR, Tables, observe
 from relnav_graph.matrices import (
     householder,
     inverse_upper,
@@ -171,10 +171,7 @@ def _possible(before: Indices, after: Indices) -> bool:
 
 @jit
 def update(
-    sensors: Indices,
-    observations: Indices,
-    places: Indices,
-    numbers: Array,
+    tables: Tables,
     kinds: Indices,
     epoch: int,
     first: int,
@@ -205,7 +202,7 @@ def update(
             C[i, j] = scale[i] * L[i, j]
     at, step, e = np.empty((1, x.shape[0])), np.empty((1, n)), np.zeros(n)
     so3.put_vector(at[0], 0, x)
-    observe(sensors, observations, places, numbers, first, last, epoch, at, weight, r, H, status)
+    observe(tables, first, last, epoch, at, weight, r, H, status)
     cost = sum_of_squares(r)
     for _ in range(iterations):
         copy(H, H0)
@@ -225,20 +222,7 @@ def update(
         found = False
         for _halving in range(10):
             so3.put_vector(at[0], 0, retract(x, step[0], kinds))
-            observe(
-                sensors,
-                observations,
-                places,
-                numbers,
-                first,
-                last,
-                epoch,
-                at,
-                weight,
-                r_try,
-                H_try,
-                status_try,
-            )
+            observe(tables, first, last, epoch, at, weight, r_try, H_try, status_try)
             if _possible(status, status_try):
                 so3.put_vector(e, 0, local(x0, at[0], kinds, n))
                 cost_try = _squared_length(L, scale, e) + sum_of_squares(r_try)
@@ -266,10 +250,7 @@ def update(
 
 @jit
 def robust_update(
-    sensors: Indices,
-    observations: Indices,
-    places: Indices,
-    numbers: Array,
+    tables: Tables,
     kinds: Indices,
     epoch: int,
     first: int,
@@ -310,42 +291,16 @@ def robust_update(
             break
         so3.put_vector(x, 0, x0)
         copy(P0, P)
-        if not update(
-            sensors,
-            observations,
-            places,
-            numbers,
-            kinds,
-            epoch,
-            first,
-            last,
-            rows,
-            iterations,
-            weight,
-            x,
-            P,
-        ):
+        if not update(tables, kinds, epoch, first, last, rows, iterations, weight, x, P):
             return False
         if not robust:
             break
         so3.put_vector(at[0], 0, x)
-        observe(
-            sensors,
-            observations,
-            places,
-            numbers,
-            first,
-            last,
-            epoch,
-            at,
-            chosen,
-            r,
-            H,
-            status,
-        )
+        observe(tables, first, last, epoch, at, chosen, r, H, status)
         for i in range(count):
-            start = observations[first + i, ROW] - observations[first, ROW]
-            height = sensors[observations[first + i, SENSOR], ROWS]
+            one = tables.observations[first + i]
+            start = one[ROW] - tables.observations[first, ROW]
+            height = tables.sensors[one[SENSOR], ROWS]
             s2[i] = sum_of_squares(r[start : start + height]) / height
             if status[i] != 0:  # impossible now: it does not fit
                 s2[i] = np.inf

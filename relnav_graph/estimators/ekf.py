@@ -165,7 +165,7 @@ class KalmanFilter:
         for k in range(count) if seconds is not None else [0]:
             begun, end = time.perf_counter(), k + 1 if seconds is not None else count
             filter_epochs(
-                *(*assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
+                *(assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
                 *(assembly.layout.kinds, limits, losses, self.iterations, k, end),
                 *(self.x, self.P, *arrays, failure),
             )
