@@ -22,7 +22,7 @@ from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
 from relnav_graph.estimators.gating import count_downweighted, count_rejected
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Epoch, Problem
-from relnav_graph.sweep import Anchor, System, anchor_of, linearize
+from relnav_graph.sweep import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.track import Track
 
 __all__ = ["smooth_long_pass"]
@@ -45,9 +45,22 @@ class _Part:
     first: Array
     anchor: Anchor
 
-    def system(self) -> System:
+    def system(self, into: Conditionals | None) -> System:
+        """Into: memory that may be filled, of any length."""
         whiten = self.assembly.whitening(self.assembly.transition(self.first[:-1])[2])
-        return linearize(self.assembly, self.anchor, self.x, whiten, self.weights)
+        if into is not None and len(into.d) != len(self.x):
+            into = None
+        models = self.assembly, self.anchor
+        return linearize(*models, self.x, whiten, self.weights, into=into)
+
+
+def _systems(parts: Iterable[_Part]) -> Iterator[System]:
+    """The system of each part, made when it is asked for in the memory of the one before."""
+    made = None
+    for part in parts:
+        system = part.system(made)
+        made = system.conditionals
+        yield system
 
 
 def _parts(problem: Problem, epochs: Iterator[Epoch], size: int) -> Iterator[_Part]:
@@ -69,8 +82,7 @@ def _forward(parts: list[_Part]) -> tuple[float, float]:
     """Give each part its anchor; the whole cost, and the length of the Gauss-Newton step in
     sigmas."""
     cost = squared = 0.0
-    for part, after in zip(parts, [*parts[1:], None], strict=True):
-        system = part.system()
+    for part, system, after in zip(parts, _systems(parts), [*parts[1:], None], strict=True):
         c = system.conditionals
         own = c.d[:-1] if after is not None else c.d
         squared += float(np.sum(own**2))
@@ -85,8 +97,7 @@ def _forward(parts: list[_Part]) -> tuple[float, float]:
 def _step(parts: list[_Part]) -> None:
     """Move all trajectories by one Gauss-Newton step."""
     end = None
-    for part in reversed(parts):
-        system = part.system()
+    for part, system in zip(parts[::-1], _systems(parts[::-1]), strict=True):
         step = system.conditionals.solution(end)
         # In place: new arrays that stay, among large ones that go, would tear the memory up.
         part.x[:], end = part.assembly.layout.retract(system.x, step), step[0]
@@ -120,8 +131,8 @@ def smooth_long_pass(
     if not np.isfinite(cost):
         raise EstimationError("the cost is not finite")
     P_end: Array | None = None
-    for one in reversed(parts):
-        P = one.system().conditionals.covariances(P_end)
+    for one, system in zip(parts[::-1], _systems(parts[::-1]), strict=True):
+        P = system.conditionals.covariances(P_end)
         own = slice(0 if one is parts[0] else 1, None)
         yield Track(
             name="batch",
