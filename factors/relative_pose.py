@@ -23,6 +23,10 @@ from relnav_graph.state import (
 Array = NDArray[np.float64]
 
 
+def _numbers(v: Array) -> Array:
+    return np.ascontiguousarray(v, dtype=np.float64)
+
+
 @jit
 def relative_attitude(R_oc: Array, R_ot: Array) -> tuple[Array, Array]:
     """R_tc = R_ot^T R_oc and its Jacobian (3, 6) to (R_oc, R_ot)."""
@@ -73,7 +77,7 @@ class RelativeAttitude(DerivedQuantity):
 
     def values(self, *x: Array) -> tuple[Array, Array]:
         """R_tc (N, 3, 3) and its Jacobian (N, 3, 6)."""
-        R_oc, R_ot = (np.ascontiguousarray(v, dtype=np.float64) for v in x)
+        R_oc, R_ot = (v.reshape(len(x[0]), 3, 3) for v in map(_numbers, x))
         out, jacobian = np.empty(R_oc.shape), np.empty((len(R_oc), 3, 6))
         relative_attitudes(R_oc, R_ot, out, jacobian)
         return out, jacobian
@@ -89,7 +93,8 @@ class PositionInTarget(DerivedQuantity):
 
     def values(self, *x: Array) -> tuple[Array, Array]:
         """r_tc_t (N, 3) and its Jacobian (N, 3, 6)."""
-        R_ot, r_tc_o = (np.ascontiguousarray(v, dtype=np.float64) for v in x)
+        R_ot = _numbers(x[0]).reshape(-1, 3, 3)
+        r_tc_o = _numbers(x[1]).reshape(len(R_ot), 3)
         out, jacobian = np.empty(r_tc_o.shape), np.empty((len(R_ot), 3, 6))
         positions_in_target(R_ot, r_tc_o, out, jacobian)
         return out, jacobian

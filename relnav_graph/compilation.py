@@ -2,8 +2,9 @@
 
 numba copies the code of a compiled function into every function that calls it, and optimises
 and generates it there anew: most of the time that it takes. Here each function is generated
-once, and its callers call it by a symbol. Helpers compile beside the program on other cores;
-a lock for each function keeps two from doing the same.
+once, and its callers call it by a symbol; Python, by a second copy with a wrapper. Helpers
+compile beside the program on other cores; a lock for each function keeps two from doing the
+same.
 
 numba's own disk cache looks only at the file of the cached function: a change in a
 callee, or in a constant, that lives in another file goes unseen. Here the cache folder
@@ -125,8 +126,8 @@ def _busy(path: Path) -> bool:
     return False
 
 
-#: Locks that this process holds, innermost last: that of a function, then those of what it
-#: calls, while it is compiled or loaded.
+#: What this process has locked, innermost last: a function, then what it calls, while it is
+#: compiled or loaded.
 _HELD: list[Path] = []
 
 
@@ -141,7 +142,7 @@ def _locked(path: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            _HELD.remove(path)
+            _HELD.pop()
 
 
 @contextmanager
@@ -256,18 +257,22 @@ def _dispatcher(function: F, folder: Path, wrapped: bool, vectorize: str) -> Any
     compiled.get_call_template = of_types
     if "<locals>" not in function.__qualname__:  # else no import finds it again
         _call_by_symbol(compiled, folder, vectorize)
+        # Another process imports it: numba would make it anew there, without all this.
+        compiled.__reduce__ = lambda: function.__qualname__
     return compiled
 
 
-def _wrap_when_called(compiled: Any, wrapped: Callable[[], Any]) -> None:
+def _wrap_when_called(compiled: Any, make_twin: Callable[[], Any]) -> None:
     """Have Python's calls go to another dispatcher of a function, which has the wrapper."""
 
     def add_overload(result: Any) -> None:
         compiled.overloads[tuple(result.signature.args)] = result
 
     def compile_for_args(*values: Any, **keywords: Any) -> Any:
-        entry = wrapped()._compile_for_args(*values, **keywords)
-        for arguments, result in wrapped().overloads.items():
+        with global_compiler_lock:
+            twin = make_twin()
+        entry = twin._compile_for_args(*values, **keywords)
+        for arguments, result in twin.overloads.items():
             if result.entry_point is entry:  # from now on without this detour
                 compiled._insert([a._code for a in arguments], entry, False)
         return entry
@@ -286,8 +291,8 @@ def compiled_once(function: F, wrapped: bool = False, vectorize: str = "") -> F:
     folder = cache_folder(function.__code__.co_filename)
     compiled = _dispatcher(function, folder, wrapped, vectorize)
     if not wrapped:
-        twin = cache(lambda: _dispatcher(function, folder / "wrapped", True, vectorize))
-        _wrap_when_called(compiled, twin)
+        make_twin = cache(lambda: _dispatcher(function, folder / "wrapped", True, vectorize))
+        _wrap_when_called(compiled, make_twin)
     return compiled  # type: ignore[no-any-return]
 
 

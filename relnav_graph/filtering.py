@@ -201,7 +201,7 @@ def _measured_epoch(
 ) -> None:
     """Weights of an epoch's observations, by their innovations at the prediction."""
     n = P.shape[0]
-    r, H, HP, S = np.empty(rows), np.empty((rows, n)), np.empty((rows, n)), np.empty((rows, rows))
+    r, H, S = np.empty(rows), np.empty((rows, n)), np.empty((rows, rows))
     status = np.empty(last - first, np.int64)
     for i in range(last - first):
         weight[i] = 1.0
@@ -213,7 +213,7 @@ def _measured_epoch(
             failure[0], failure[1], failure[2] = SENSOR_BROKE, first + i, status[i]
             return
         weight[i] = 1.0 if status[i] == 0 else 0.0
-    innovation_covariance(H, P, HP, S)
+    innovation_covariance(H, P, S)
     _gate(tables, S, r, limit, losses, first, weight, squares)
     # Rows that are not used stand aside: nothing seen, nothing to see.
     for i in range(last - first):

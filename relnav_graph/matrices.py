@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from relnav_graph.compiled import jit, jit_columns, jit_vector
 
 __all__ = [
+    "SPARE",
     "cholesky",
     "householder",
     "inverse_upper",
@@ -28,6 +29,9 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+#: Columns that `householder` wants beyond the last one.
+SPARE = 3
 
 
 @jit_columns
@@ -162,7 +166,7 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
 
     below: rows from the diagonal down to this one are known to be zero there already. A
     reflection leaves out the rows that are zero in its column, and the columns in which none
-    of its rows has begun; the sums of four columns stay in registers. The three columns
+    of its rows has begun; the sums of four columns stay in registers. The `SPARE` columns
     after `width` are spoilt: there must be as many.
     """
     end, at, f = np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows)

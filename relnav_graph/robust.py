@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 
-__all__ = ["TUNING", "Loss", "LossKind", "root_weight"]
+__all__ = ["TUNING", "Loss", "LossKind", "root_weight", "root_weights"]
 
 Array = NDArray[np.float64]
 LossKind = Literal["huber", "cauchy", "dcs", "tukey"]

@@ -83,6 +83,8 @@ class Block:
 
     def local(self, a: Array, b: Array) -> Array:
         """Tangent vectors (..., dim) from values `a` to values `b`, both of one shape."""
+        if a.shape != b.shape:
+            raise InputError(f"{self.name}: found shapes {a.shape} and {b.shape}, expected one")
         if self.manifold == "SO3":
             stacks = (np.ascontiguousarray(m, dtype=np.float64).reshape(-1, 9) for m in (a, b))
             out = np.empty((*a.shape[:-2], 3))
@@ -154,7 +156,7 @@ def times_transposed_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inve
 
 @jit
 def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
-    """That Jacobian (n, n)."""
+    """The Jacobian of :func:`times_jacobian`, (n, n)."""
     out = so3.identity(d.shape[0])
     times_jacobian(out, d, kinds, inverse)
     return out
@@ -287,6 +289,7 @@ class Layout:
             return retract(x, d, self.kinds)
         out = np.empty((len(d), self.size))
         x, d = (np.ascontiguousarray(v, dtype=np.float64) for v in (x, d))
+        self._check(x, (len(x), self.size), d, (len(x), self.dim))
         retract_all(x, d, self.kinds, out)
         return out
 
@@ -296,8 +299,16 @@ class Layout:
             return local(a, b, self.kinds, self.dim)
         out = np.empty((len(a), self.dim))
         a, b = (np.ascontiguousarray(v, dtype=np.float64) for v in (a, b))
+        self._check(a, (len(a), self.size), b, (len(a), self.size))
         local_all(a, b, self.kinds, out)
         return out
+
+    def _check(self, a: Array, of_a: tuple[int, int], b: Array, of_b: tuple[int, int]) -> None:
+        """Raise InputError on trajectories that do not fit: compiled loops do not look."""
+        if a.shape != of_a or b.shape != of_b:
+            raise InputError(
+                f"trajectories: found {a.shape} and {b.shape}, expected {of_a} and {of_b}"
+            )
 
     def right_jacobian(self, d: Array) -> Array:
         """J with ``x (+) (d + e) = (x (+) d) (+) J e`` to first order, (dim, dim)."""

@@ -22,7 +22,7 @@ from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
 from relnav_graph.errors import EstimationError
 from relnav_graph.loops import TABLES, Tables, interval_row, observe, propagate
-from relnav_graph.matrices import householder, inverse_upper, sandwich
+from relnav_graph.matrices import SPARE, householder, inverse_upper, sandwich
 from relnav_graph.noise import inverse_cholesky
 from relnav_graph.problem import Prior
 from relnav_graph.state import Layout
@@ -101,7 +101,7 @@ def _sweep(
     most, damped = 0, damping.shape[0] > 0
     for k in range(count):
         most = max(most, row_offsets[k + 1] - row_offsets[k])
-    a = np.zeros((n + max(n, most + (n if damped else 0)), 2 * n + 4))
+    a = np.zeros((n + max(n, most + (n if damped else 0)), 2 * n + 1 + SPARE))
     r_all, H_all = np.empty(most), np.empty((most, n))
     x_next, F, Q = np.zeros(x.shape[1]), np.empty((n, n)), np.empty((n, n))
     e, A, B = np.empty(n), np.empty((n, n)), np.empty((n, n))

@@ -12,6 +12,7 @@ from relnav_graph import so3
 from relnav_graph.compiled import jit
 from relnav_graph.loops import ROW, ROWS, SENSOR, Tables, observe
 from relnav_graph.matrices import (
+    SPARE,
     householder,
     inverse_upper,
     product,
@@ -28,7 +29,6 @@ __all__ = [
     "innovation_covariance",
     "misfit",
     "robust_update",
-    "sum_of_squares",
     "to_tangent",
 ]
 
@@ -70,8 +70,9 @@ def _squared_length(L: Array, scale: Array, d: Array) -> float:
 
 
 @jit
-def innovation_covariance(H: Array, P: Array, HP: Array, S: Array) -> None:
-    """``S = H P H^T + I``, symmetric, and ``H P`` on the way."""
+def innovation_covariance(H: Array, P: Array, S: Array) -> None:
+    """``S = H P H^T + I``, symmetric."""
+    HP = np.empty((H.shape[0], H.shape[1]))
     product(H, P, HP)
     for i in range(H.shape[0]):
         for j in range(i + 1):
@@ -83,7 +84,7 @@ def innovation_covariance(H: Array, P: Array, HP: Array, S: Array) -> None:
 
 @jit
 def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
-    """Triangularise the rows ``y`` and ``innovation + H C y`` in a (n + rows, n + 4).
+    """Triangularise the rows ``y`` and ``innovation + H C y`` in a (n + rows, n + 1 + SPARE).
 
     With ``C C^T`` the covariance before, y is the step in its sigmas: R of the result is
     the square root of the information after, and R y = a[:n, n]. By reflections, so that
@@ -94,7 +95,7 @@ def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
     product(H, C, G)
     for i in range(n + rows):
         for j in range(a.shape[1]):
-            a[i, j] = 1.0 if i == j else 0.0
+            a[i, j] = 1.0 if i == j and j < n else 0.0
     so3.put(a, n, 0, G, 1.0)
     for i in range(rows):
         a[n + i, n] = -innovation[i]
@@ -141,7 +142,7 @@ def misfit(H: Array, P: Array, r: Array) -> float:
     for i in range(n):
         for j in range(n):
             C[i, j] *= scale[i]
-    a, squares = np.empty((n + H.shape[0], n + 4)), 0.0
+    a, squares = np.empty((n + H.shape[0], n + 1 + SPARE)), 0.0
     _least_squares(H, C, r, a)
     for i in range(n, a.shape[0]):
         squares += a[i, n] * a[i, n]
@@ -196,7 +197,7 @@ def update(
     r, H, H0 = np.empty(rows), np.empty((rows, n)), np.empty((rows, n))
     r_try, H_try = np.empty(rows), np.empty((rows, n))
     status, status_try = np.empty(last - first, np.int64), np.empty(last - first, np.int64)
-    C, a, innovation = np.empty((n, n)), np.empty((n + rows, n + 4)), np.empty(rows)
+    C, a, innovation = np.empty((n, n)), np.empty((n + rows, n + 1 + SPARE)), np.empty(rows)
     for i in range(n):
         for j in range(n):
             C[i, j] = scale[i] * L[i, j]

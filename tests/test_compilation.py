@@ -161,6 +161,15 @@ def test_python_may_call_what_compiled_code_calls(package: Path) -> None:
         np.testing.assert_array_equal(so3.multiply(one, one), out)
 
 
+def test_another_process_gets_a_function_by_its_name(package: Path) -> None:
+    program = (
+        "import pickle; from outsider.upper import f\n"
+        "print(pickle.loads(pickle.dumps(f)) is f, f(9.0))\n"
+        "print(pickle.loads(pickle.dumps(f)) is f)"
+    )
+    assert result(start(package, program)) == ["True", "9.0", "True"]
+
+
 def test_garbage_is_collected_again_after_compiling(package: Path) -> None:
     program = (
         "import gc; from outsider.upper import f\n"

@@ -46,7 +46,7 @@ class _Part:
     anchor: Anchor
 
     def system(self, into: Conditionals | None) -> System:
-        """Into: memory that may be filled, of any length."""
+        """The part linearised and eliminated; into: memory that may be filled, of any length."""
         whiten = self.assembly.whitening(self.assembly.transition(self.first[:-1])[2])
         if into is not None and len(into.d) != len(self.x):
             into = None
@@ -55,7 +55,8 @@ class _Part:
 
 
 def _systems(parts: Iterable[_Part]) -> Iterator[System]:
-    """The system of each part, made when it is asked for in the memory of the one before."""
+    """The system of each part, made when it is asked for, in the memory of the one before:
+    good until the next one is asked for."""
     made = None
     for part in parts:
         system = part.system(made)

@@ -165,7 +165,7 @@ class InertialPair(TumblingBody, OrbitElements):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._craft()
+        self._craft()  # it refuses what is no ellipse
 
     def _craft(self) -> Array:
         """(12,): position and velocity of the chaser, then those of the target relative to

@@ -71,7 +71,7 @@ class PoweredOrbits(OrbitElements):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        self.craft()
+        self.craft()  # it refuses what is no ellipse
 
     @property
     def source(self) -> str:

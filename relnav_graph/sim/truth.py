@@ -30,7 +30,7 @@ def _zeros() -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OrbitElements:
-    """The orbit of a craft at t = 0, for a truth that has another one beside it.
+    """The orbit of a craft where a truth starts, which has another one beside it.
 
     semi_major_axis (m), eccentricity (0 <= e < 1), true_anomaly, inclination, raan,
     argument_of_perigee (rad).
@@ -51,8 +51,8 @@ class OrbitElements:
         return np.asarray(plane @ so3.exp(latitude * z))
 
     def initial_orbits(self, position: Array, velocity: Array, mu: float = MU_EARTH) -> Array:
-        """(12,): position and velocity of the craft in i, then those of the other relative
-        to it.
+        """(12,): position and velocity of the craft in i at the start, then those of the
+        other relative to it.
 
         position: of the other from the craft, m, and velocity, m/s, its derivative there, in
         RTN axes of the orbit. Raises InputError on an orbit that is not an ellipse.
@@ -107,7 +107,7 @@ class RigidBodyPair(OrbitElements):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        self._orbits()
+        self._orbits()  # it refuses what is no ellipse
         J = self.target_inertia
         if 2 * J.max() >= J.sum():
             raise InputError(
