@@ -89,7 +89,7 @@ def condense(u: Array, largest: float) -> Array:
     """Rows (dt, w) or (dt, w, f) as few rows: each turns by about `largest`, rad, at most."""
     out, rows, first, angle = np.empty(u.shape), 0, 0, 0.0
     for row in range(u.shape[0]):
-        own = np.sqrt(u[row, 1] ** 2 + u[row, 2] ** 2 + u[row, 3] ** 2) * u[row, 0]
+        own = so3.norm(u[row, 1:4]) * u[row, 0]
         if row > first and angle + own > largest:
             _one(u, first, row, out[rows])
             rows, first, angle = rows + 1, row, 0.0

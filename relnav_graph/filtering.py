@@ -11,7 +11,7 @@ from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, 
 from relnav_graph.loops import ROW, ROWS, SENSOR, TABLES, Tables, observe, propagate
 from relnav_graph.matrices import cholesky, sandwich, solve_lower
 from relnav_graph.robust import root_weight
-from relnav_graph.updating import copy, innovation_covariance, misfit, robust_update
+from relnav_graph.updating import column_squares, copy, innovation_covariance, misfit, robust_update
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
 
@@ -56,9 +56,7 @@ def _gate(
         weight[i] = 0.0
         if cholesky(own):
             solve_lower(own, v)
-            total = 0.0
-            for a in range(rows):
-                total += v[a, 0] * v[a, 0]
+            total = column_squares(v, 0, 0)
             squares[i] = total / rows
             if total <= limit[i]:
                 weight[i] = 1.0

@@ -131,7 +131,9 @@ def _sweep(
                 failure[0], failure[1], failure[2] = k, process, code
                 return
             interval_row(x_next, x[k + 1], F, whiten[k], kinds, e, A, B)
-            so3.put(a, 0, n + 1, B, 0.0)
+            for i in range(n):
+                for j in range(n + 1, 2 * n + 1):
+                    a[i, j] = 0.0
             so3.put(a, n, n + 1, B, 1.0)
             squares += _put_rows(a, n, e, A)
             householder(a, n, n, 2 * n, 2 * n + 1)

@@ -25,6 +25,7 @@ from relnav_graph.robust import HUBER, root_weight
 from relnav_graph.state import local, retract, times_jacobian, times_transposed_jacobian
 
 __all__ = [
+    "column_squares",
     "copy",
     "innovation_covariance",
     "misfit",
@@ -58,15 +59,22 @@ def sum_of_squares(v: Array) -> float:
 
 
 @jit
+def column_squares(a: Array, first: int, column: int) -> float:
+    """The sum of squares of a column, from the row `first` on."""
+    out = 0.0
+    for i in range(first, a.shape[0]):
+        out += a[i, column] * a[i, column]
+    return out
+
+
+@jit
 def _squared_length(L: Array, scale: Array, d: Array) -> float:
     """``d^T P^-1 d``, from the factor of the correlation matrix."""
-    v, squares = np.empty((d.shape[0], 1)), 0.0
+    v = np.empty((d.shape[0], 1))
     for i in range(d.shape[0]):
         v[i, 0] = d[i] / scale[i]
     solve_lower(L, v)
-    for i in range(d.shape[0]):
-        squares += v[i, 0] * v[i, 0]
-    return squares
+    return column_squares(v, 0, 0)
 
 
 @jit
@@ -142,11 +150,9 @@ def misfit(H: Array, P: Array, r: Array) -> float:
     for i in range(n):
         for j in range(n):
             C[i, j] *= scale[i]
-    a, squares = np.empty((n + H.shape[0], n + 1 + SPARE)), 0.0
+    a = np.empty((n + H.shape[0], n + 1 + SPARE))
     _least_squares(H, C, r, a)
-    for i in range(n, a.shape[0]):
-        squares += a[i, n] * a[i, n]
-    return squares
+    return column_squares(a, n, n)
 
 
 @jit
