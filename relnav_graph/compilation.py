@@ -38,6 +38,8 @@ from numba.core import sigutils
 from numba.core.compiler import Flags
 from numba.core.compiler_lock import global_compiler_lock
 
+from relnav_graph.lowering import Short, caller_of
+
 __all__ = ["cache_folder", "compile_ahead", "compiled_once", "work"]
 
 _LOG = logging.getLogger(__name__)
@@ -46,7 +48,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 #: Modules of this package that compiled code may call or take constants from.
 _LOWER_FLOORS = (
     *("backward", "compilation", "compiled", "constants", "filtering", "loops"),
-    *("matrices", "orbit", "robust", "so3", "state", "sweep", "updating"),
+    *("lowering", "matrices", "orbit", "robust", "so3", "state", "sweep", "updating"),
 )
 
 
@@ -209,7 +211,7 @@ def _call_by_symbol(compiled: Any, folder: Path, vectorize: str) -> None:
         described.mangled_name = symbol
         address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
         llvmlite.binding.add_symbol(symbol, address)
-        compiled.targetctx.insert_user_function(symbol, described)
+        compiled.targetctx.insert_func_defn([(caller_of(described), symbol, arguments)])
         symbols[arguments] = symbol
         return entry
 
@@ -237,8 +239,8 @@ class _Flags(Flags):  # type: ignore[misc]
 
 def _dispatcher(function: F, folder: Path, wrapped: bool, vectorize: str) -> Any:
     """numba's for a function; wrapped: with what Python calls it through."""
-    options: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
-    options["no_cpython_wrapper"] = not wrapped
+    options: dict[str, Any] = {"error_model": "numpy", "pipeline_class": Short}
+    options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": not wrapped}
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(folder)
     try:

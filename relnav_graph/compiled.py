@@ -12,13 +12,13 @@ from functools import cache, wraps
 from typing import Any, TypeVar
 
 from numba import types
-from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.experimental.function_type import _get_jit_address
 from numba.extending import intrinsic
 
 from relnav_graph.compilation import compile_ahead, compiled_once
 from relnav_graph.errors import ModelError
+from relnav_graph.lowering import call_compiled
 
 __all__ = [
     "DYNAMICS_KERNEL",
@@ -121,10 +121,7 @@ def _call(contract: Any) -> Callable[..., Any]:
         types_ = contract.return_type, contract.args
         pointer = context.call_conv.get_function_type(*types_).as_pointer()
         function = builder.inttoptr(address, pointer)
-        status, out = context.call_conv.call_function(builder, function, *types_, arguments)
-        with cgutils.if_unlikely(builder, status.is_error):
-            context.call_conv.return_status_propagate(builder, status)
-        return out
+        return call_compiled(context, builder, function, *types_, arguments)
 
     return generate
 
