@@ -38,7 +38,7 @@ from numba.core import sigutils
 from numba.core.compiler import Flags
 from numba.core.compiler_lock import global_compiler_lock
 
-from relnav_graph.lowering import Short, caller_of
+from relnav_graph.lowering import ShortCompiler, caller_of
 
 __all__ = ["cache_folder", "compile_ahead", "compiled_once", "work"]
 
@@ -80,7 +80,7 @@ def cache_folder(source: str) -> Path:
     base = Path(root) if root else Path.home() / ".cache"
     folders = {Path(__file__).parent, Path(source).resolve().parent}
     key = "".join(_digest(folder) for folder in sorted(folders))
-    key += f"{numba.__version__} {sys.version_info[:2]}"
+    key += f"{numba.__version__} {sys.version_info[:2]} {numba.config.BOUNDSCHECK}"
     return base / "relnav_graph" / hashlib.sha256(key.encode()).hexdigest()[:16]
 
 
@@ -239,7 +239,7 @@ class _Flags(Flags):  # type: ignore[misc]
 
 def _dispatcher(function: F, folder: Path, wrapped: bool, vectorize: str) -> Any:
     """numba's for a function; wrapped: with what Python calls it through."""
-    options: dict[str, Any] = {"error_model": "numpy", "pipeline_class": Short}
+    options: dict[str, Any] = {"error_model": "numpy", "pipeline_class": ShortCompiler}
     options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": not wrapped}
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(folder)

@@ -4,17 +4,16 @@ To read one element of a matrix, numba writes some forty lines in LLVM's languag
 the array, stored, loaded and taken apart again. LLVM removes nearly all of that, but has to
 read it first. What our functions consist of is written here in as few lines as it takes:
 elements of arrays, loops, arguments, calls of each other. All else is numba's, and so is the
-whole compilation of a function that uses what `Short` leaves out.
+whole compilation of a function that uses what `ShortCompiler` leaves out.
 """
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
-import llvmlite.ir
 import numba
 from llvmlite.ir.instructions import InsertValue
 from numba import types
@@ -24,7 +23,9 @@ from numba.core import untyped_passes as untyped
 from numba.core.compiler import Compiler, CompilerBase
 from numba.core.compiler_machinery import PassManager, register_pass
 
-__all__ = ["Short", "call_compiled", "caller_of"]
+__all__ = ["ShortCompiler", "call_compiled", "caller_of"]
+
+_LOG = logging.getLogger(__name__)
 
 
 def _place(builder: Any, kind: Any) -> Any:
@@ -33,7 +34,7 @@ def _place(builder: Any, kind: Any) -> Any:
         return builder.alloca(kind)
 
 
-def _members(builder: Any, value: Any, count: int) -> list[Any]:
+def _unpacked(builder: Any, value: Any, count: int) -> list[Any]:
     """The members of a tuple or structure; those that were just put in, as they were."""
     members: dict[int, Any] = {}
     part = value
@@ -43,36 +44,42 @@ def _members(builder: Any, value: Any, count: int) -> list[Any]:
     return [members.get(i) or builder.extract_value(value, i) for i in range(count)]
 
 
-def _constant(value: Any) -> Any:
-    """The number that a value is known to be, if it is."""
-    return value.constant if isinstance(value, llvmlite.ir.Constant) else None
+def _constant(value: Any) -> int | None:
+    """The integer that a value is known to be, if it is; unsigned ones are not told apart."""
+    number = getattr(value, "constant", None)
+    return number if isinstance(number, int) and abs(number) < 2**63 else None
 
 
 def call_compiled(
     context: Any, builder: Any, function: Any, returned: Any, arguments: Any, values: Any
 ) -> Any:
     """Code that calls a compiled function of these types; what it raises goes to the caller."""
+    convention = context.call_conv
+    if hasattr(builder, "_in_try_block"):
+        status, value = convention.call_function(builder, function, returned, arguments, values)
+        with cgutils.if_unlikely(builder, status.is_error):
+            convention.return_status_propagate(builder, status)
+        return value
     place = _place(builder, function.function_type.args[0].pointee)
-    flat = context.call_conv._get_arg_packer(arguments).as_arguments(builder, values)
-    exception = builder.function.args[1]
+    flat = convention._get_arg_packer(arguments).as_arguments(builder, values)
+    exception = convention._get_excinfo_argument(builder.function)
     status = builder.call(function, [place, exception, *flat])
     with cgutils.if_unlikely(builder, builder.icmp_signed("!=", status, status.type(0))):
         builder.ret(status)
     value = builder.load(place)
-    if value.type != context.get_value_type(returned):
+    if value.type != context.get_value_type(returned):  # a truth value, which travels as a byte
         value = context.get_returned_value(builder, returned, value)
     return value
 
 
-def caller_of(described: Any) -> Callable[..., Any]:
+def caller_of(descriptor: Any) -> Callable[..., Any]:
     """What writes the calls of a function that numba has described."""
-    usual = imputils.user_function(described, ())
+    returned, arguments = descriptor.restype, descriptor.argtypes
+    if isinstance(returned, types.Optional):  # whose status says which of the two it is
+        return cast(Callable[..., Any], imputils.user_function(descriptor, ()))
 
     def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        returned, arguments = described.restype, described.argtypes
-        if isinstance(returned, types.Optional) or hasattr(builder, "_in_try_block"):
-            return usual(context, builder, signature, values)
-        function = context.declare_function(builder.module, described)
+        function = context.declare_function(builder.module, descriptor)
         return call_compiled(context, builder, function, returned, arguments, values)
 
     return write
@@ -85,64 +92,57 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
         super().init()
         assigned = [i.target.name for b in self.blocks.values() for i in b.find_insts(ir.Assign)]
         times = Counter(assigned)
-        #: Arguments that stay what they are: the caller holds them all the time.
-        self._arguments = {
+        #: Arguments that stay what they are, whose references need no counting: the caller
+        #: holds its own until this function is done.
+        self._borrowed = {
             inst.target.name
             for inst in self.blocks[self.firstblk].find_insts(ir.Assign)
             if isinstance(inst.value, ir.Arg) and times[inst.target.name] == 1
         }
-        self._singly_assigned_vars |= self._arguments
+        self._singly_assigned_vars |= self._borrowed
 
-    def lower_block(self, block: Any) -> None:
-        self.pre_block(block)
-        for inst in block.body:
-            self.loc = inst.loc
-            if isinstance(inst, ir.Assign):
-                value = self.lower_assign(self.typeof(inst.target.name), inst)
-                self.storevar(value, inst.target.name)
-            elif isinstance(inst, ir.Del):
-                self.delvar(inst.value)
-            elif isinstance(inst, ir.StaticSetItem) and self._array(inst.target):
-                signature = self.fndesc.calltypes[inst]
-                self.lower_setitem(inst.target, inst.index_var, inst.value, signature)
-            else:
-                self.lower_inst(inst)
-        self.post_block(block)
+    def lower_inst(self, inst: Any) -> None:
+        if isinstance(inst, ir.StaticSetItem) and self._is_array(inst.target):
+            signature = self.fndesc.calltypes[inst]
+            self.lower_setitem(inst.target, inst.index_var, inst.value, signature)
+        else:
+            super().lower_inst(inst)
 
     def lower_assign(self, ty: Any, inst: Any) -> Any:
         name = inst.target.name
-        if name in self._arguments and self.typeof(f"arg.{inst.value.name}") == ty:
+        if name in self._borrowed and self.typeof(f"arg.{inst.value.name}") == ty:
             return self.fnargs[inst.value.index]
         return super().lower_assign(ty, inst)
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
-        member = self._member(expr)
+        member = self._member_index(expr)
         if member is not None:
             out = self.builder.extract_value(self.loadvar(expr.value.name), member)
             self.incref(resty, out)
-        elif expr.op == "static_getitem" and expr.index_var and self._array(expr.value):
+        elif expr.op == "static_getitem" and expr.index_var and self._is_array(expr.value):
             signature = self.fndesc.calltypes[expr]
             out = self.lower_getitem(resty, expr, expr.value, expr.index_var, signature)
-        elif expr.op == "call" and resty == types.range_state64_type and not expr.vararg:
+        elif resty == types.range_state64_type and self._is_range(expr):
             out = self._range([self._cast_var(limit, types.int64) for limit in expr.args])
         elif expr.op == "getiter" and resty == types.range_iter64_type:
-            out = self._rounds(self.loadvar(expr.value.name)) or super().lower_expr(resty, expr)
+            limits = self.loadvar(expr.value.name)
+            out = self._range_iterator(limits) or super().lower_expr(resty, expr)
         elif expr.op == "iternext" and self.typeof(expr.value.name) == types.range_iter64_type:
-            out = self._next_round(self.loadvar(expr.value.name))
+            out = self._range_next(self.loadvar(expr.value.name))
         else:
             out = super().lower_expr(resty, expr)
         return out
 
     # Structures and elements of arrays -------------------------------------------
 
-    def _array(self, variable: Any) -> bool:
+    def _is_array(self, variable: Any) -> bool:
         return isinstance(self.typeof(variable.name), types.Array)
 
-    def _field(self, kind: Any, name: str) -> int:
+    def _field_index(self, kind: Any, name: str) -> int:
         """Where numba's structure for an array holds its shape, its data and so on."""
         return int(self.context.data_model_manager[kind].get_field_position(name))
 
-    def _member(self, expr: Any) -> int | None:
+    def _member_index(self, expr: Any) -> int | None:
         """The position of the member that an expression takes out of a structure, if it does."""
         if expr.op in ("pair_first", "pair_second"):
             return int(expr.op == "pair_second")
@@ -151,26 +151,30 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
         kind = self.typeof(expr.value.name)
         if expr.op == "getattr":
             if isinstance(kind, types.Array) and expr.attr == "shape":
-                return self._field(kind, "shape")
+                return self._field_index(kind, "shape")
             named = isinstance(kind, types.BaseNamedTuple) and expr.attr in kind.fields
             return kind.fields.index(expr.attr) if named else None
         place = expr.index if isinstance(kind, types.BaseTuple) else None
         return place if isinstance(place, int) and 0 <= place < len(kind) else None
 
-    def _element(self, array: Any, index: Any) -> Any:
-        """Where an element of a C-contiguous array of numbers lies; None if it is none."""
-        kind, at = self.typeof(array.name), self.typeof(index.name)
-        several = isinstance(at, types.BaseTuple)
-        integers = all(types.unliteral(k) == types.int64 for k in (at.types if several else [at]))
-        if not (isinstance(kind, types.Array) and kind.layout == "C" and kind.aligned and integers):
-            return None
-        if kind.dtype not in (types.float64, types.int64):
-            return None
-        if kind.ndim != (len(at) if several else 1):
+    def _is_element(self, kind: Any, index: Any) -> bool:
+        """Whether an index means one element of a C-contiguous array of numbers."""
+        if not (isinstance(kind, types.Array) and kind.layout == "C" and kind.aligned):
+            return False
+        axes = index.types if isinstance(index, types.BaseTuple) else [index]
+        integers = all(types.unliteral(axis) == types.int64 for axis in axes)
+        numbers = kind.dtype in (types.float64, types.int64)
+        return bool(numbers and integers and len(axes) == kind.ndim > 0)
+
+    def _element_pointer(self, array: Any, index: Any) -> Any:
+        """Where an element lies; None if it is none as `_is_element` wants it."""
+        kind, index_kind = self.typeof(array.name), self.typeof(index.name)
+        if not self._is_element(kind, index_kind):
             return None
         builder, fields, value = self.builder, self.loadvar(array.name), self.loadvar(index.name)
-        shape, offset = self._field(kind, "shape"), None
-        for axis, i in enumerate(_members(builder, value, kind.ndim) if several else [value]):
+        several = isinstance(index_kind, types.BaseTuple)
+        shape, offset = self._field_index(kind, "shape"), None
+        for axis, i in enumerate(_unpacked(builder, value, kind.ndim) if several else [value]):
             known = _constant(i)
             if axis > 0 or known is None or known < 0:
                 size = builder.extract_value(fields, [shape, axis])
@@ -180,17 +184,17 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
             elif known < 0:
                 i = builder.add(i, size)
             offset = i if offset is None else builder.add(builder.mul(offset, size), i)
-        return builder.gep(builder.extract_value(fields, self._field(kind, "data")), [offset])
+        return builder.gep(builder.extract_value(fields, self._field_index(kind, "data")), [offset])
 
     def lower_getitem(self, resty: Any, expr: Any, value: Any, index: Any, signature: Any) -> Any:
-        place = self._element(value, index)
+        place = self._element_pointer(value, index)
         if place is None:
             return super().lower_getitem(resty, expr, value, index, signature)
         item = self.builder.load(place)
         return self.context.cast(self.builder, item, self.typeof(value.name).dtype, resty)
 
     def lower_setitem(self, target_var: Any, index_var: Any, value_var: Any, signature: Any) -> Any:
-        place = self._element(target_var, index_var)
+        place = self._element_pointer(target_var, index_var)
         if place is None:
             return super().lower_setitem(target_var, index_var, value_var, signature)
         value = self._cast_var(value_var, self.typeof(target_var.name).dtype)
@@ -198,16 +202,22 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
 
     # Loops over a range ----------------------------------------------------------
 
+    def _is_range(self, expr: Any) -> bool:
+        """Whether an expression calls `range`, and not what returns one."""
+        if expr.op != "call" or expr.kws or expr.vararg:
+            return False
+        return getattr(self.typeof(expr.func.name), "typing_key", None) is range
+
     def _range(self, limits: list[Any]) -> Any:
         """(start, stop, step)."""
         zero, one = limits[0].type(0), limits[0].type(1)
         limits = [zero, *limits] if len(limits) == 1 else limits
         return cgutils.pack_struct(self.builder, [*limits, one][:3])
 
-    def _rounds(self, limits: Any) -> Any:
+    def _range_iterator(self, limits: Any) -> Any:
         """numba's iterator of a range in steps of 1 or -1: (where the next number is kept,
         stop, step, where the number of rounds to go is); None for other steps."""
-        start, stop, step = _members(self.builder, limits, 3)
+        start, stop, step = _unpacked(self.builder, limits, 3)
         if _constant(step) not in (1, -1):
             return None
         first, last = (start, stop) if _constant(step) == 1 else (stop, start)
@@ -217,10 +227,10 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
         self.builder.store(rounds, to_go)
         return cgutils.pack_struct(self.builder, [number, stop, step, to_go])
 
-    def _next_round(self, iterator: Any) -> Any:
+    def _range_next(self, iterator: Any) -> Any:
         """(the next number, whether there is one)."""
         builder = self.builder
-        number, _, step, to_go = _members(builder, iterator, 4)
+        number, _, step, to_go = _unpacked(builder, iterator, 4)
         i, rounds = builder.load(number), builder.load(to_go)
         builder.store(builder.add(i, step), number)
         builder.store(builder.sub(rounds, rounds.type(1), flags=["nsw"]), to_go)
@@ -232,20 +242,14 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
     def _counted(self, kind: Any) -> bool:
         return bool(self.context.data_model_manager[kind].contains_nrt_meminfo())
 
-    def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        if name in self._singly_assigned_vars or self._counted(self.typeof(name)):
-            super().storevar(value, name, argidx)
-        else:
-            self.builder.store(value, self.getvar(name))
-
     def delvar(self, name: str) -> None:
-        if name not in self._arguments and self._counted(self.typeof(name)):
+        if name not in self._borrowed and self._counted(self.typeof(name)):
             super().delvar(name)
 
     def _references(self, kind: Any, value: Any) -> list[tuple[Any, Any]]:
         """The counted references in a value, with the type of each."""
         if isinstance(kind, types.Array):
-            reference = self.builder.extract_value(value, self._field(kind, "meminfo"))
+            reference = self.builder.extract_value(value, self._field_index(kind, "meminfo"))
             return [(types.MemInfoPointer(kind.dtype), reference)]
         if isinstance(kind, types.BaseTuple) and self._counted(kind):
             members = [self.builder.extract_value(value, i) for i in range(len(kind))]
@@ -263,8 +267,12 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
 
 
 class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """A function's machine code, optimised once: numba has LLVM do it three times, so that it
-    finds more in what was copied from other functions."""
+    """A function's machine code, optimised in one round. numba has LLVM go through it three
+    times, to find more in what was copied from other functions; ours are called, not copied.
+
+    Where vectors are wanted the round is that of whole modules, which alone makes them; else
+    that of single functions, which takes half the time.
+    """
 
     @property
     def _vectors(self) -> bool:
@@ -279,7 +287,7 @@ class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
                     passes.run(function, builder)
 
     def _optimize_final_module(self) -> None:
-        if self._vectors:  # which only these passes make
+        if self._vectors:
             passes, builder = self._codegen._module_pass_manager()
             passes.run(self._final_module, builder)
 
@@ -301,10 +309,24 @@ class _Compilation(typed.BaseNativeLowering):  # type: ignore[misc]
         return bool(typed.NoPythonBackend().run_pass(state))
 
 
-class Short(CompilerBase):  # type: ignore[misc]
-    """numba's compiler for functions of numbers, arrays and tuples. numba's own one takes over
-    where this one fails, as at a function within a function, and where bounds are checked or a
-    debugger is to follow."""
+#: Functions, with the types of their arguments, that `ShortCompiler` could not compile.
+_LEFT_TO_NUMBA: set[tuple[Any, Any]] = set()
+
+
+class ShortCompiler(CompilerBase):  # type: ignore[misc]
+    """numba's compiler for functions of numbers, arrays and tuples.
+
+    numba's own one takes over where this one fails, and where bounds are checked or a debugger
+    is to follow. Of its passes those are left out that serve functions within a function, with
+    statements, isinstance, loops over mixed tuples and parallel loops, and second rounds.
+    """
+
+    _PASSES = (
+        *(untyped.TranslateByteCode, untyped.FixupArgs, untyped.RewriteSemanticConstants),
+        *(untyped.DeadBranchPrune, untyped.GenericRewrites, untyped.ReconstructSSA),
+        *(typed.NopythonTypeInference, typed.PreLowerStripPhis, typed.NopythonRewrites),
+        *(typed.IRLegalization, typed.AnnotateTypes, _Compilation),
+    )
 
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
@@ -312,18 +334,18 @@ class Short(CompilerBase):  # type: ignore[misc]
 
     def define_pipelines(self) -> list[Any]:
         passes = PassManager("short")
-        for kind in (
-            *(untyped.TranslateByteCode, untyped.FixupArgs, untyped.GenericRewrites),
-            *(untyped.ReconstructSSA, typed.NopythonTypeInference, typed.PreLowerStripPhis),
-            *(typed.IRLegalization, typed.AnnotateTypes, _Compilation),
-        ):
+        for kind in self._PASSES:
             passes.add_pass(kind, kind._name)
         passes.finalize()
         return [passes]
 
     def compile_extra(self, func: Any) -> Any:
-        flags = self.state.flags
-        if not (flags.debuginfo or flags.boundscheck or numba.config.BOUNDSCHECK):
-            with suppress(Exception):  # numba's own says what is wrong
+        flags, this = self.state.flags, (func, self.state.args)
+        checked = flags.debuginfo or flags.boundscheck or numba.config.BOUNDSCHECK
+        if not checked and this not in _LEFT_TO_NUMBA:
+            try:
                 return super().compile_extra(func)
+            except Exception as error:  # numba says better what is wrong, if anything is
+                _LOG.debug("%s is left to numba: %s", func.__qualname__, error)
+                _LEFT_TO_NUMBA.add(this)
         return Compiler(*self._given).compile_extra(func)
