@@ -21,7 +21,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.assembly import Assembly
+from relnav_graph.assembly import Assembly, process_rows
 from relnav_graph.chain import epoch_factor, interval_factor
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
@@ -159,7 +159,7 @@ class IncrementalSmoother:
             due = max(count + 1, math.ceil(self.ratio * count))
             self.state = replace(self.state, due=due)
             return
-        self._extend(assembly, s.x, assembly.whitening(done.Q), done.weights)
+        self._extend(done, s.x)
         if len(self.state.references) > WINDOW:
             self._compact()
 
@@ -186,12 +186,13 @@ class IncrementalSmoother:
         self.state = replace(self.state, log=self._tree_log)
         return tree
 
-    def _extend(self, assembly: Assembly, before: Array, whiten: Array, weights: Array) -> None:
-        """Add the newest epoch to the tree, linearised at its reference; before (size,):
-        the estimate at the epoch before."""
+    def _extend(self, done: FilterPass, before: Array) -> None:
+        """Add the newest epoch to the tree, linearised where the filter has been in it;
+        before (size,): the estimate at the epoch before, where the filter set out."""
         layout, key = self.problem.layout, self.state.count - 1
-        x = self.state.references[-1]
-        process = assembly.process(np.array([before, x]), whiten)
+        x, assembly, weights = self.state.references[-1], done.assembly, done.weights
+        whiten = assembly.whitening(done.Q)
+        process = process_rows(layout, done.x_predicted, x[None], done.F, whiten)
         # The older end is linearised at its latest estimate, reference (+) d; the tree's
         # variable is a perturbation of the reference: the chain rule of the retraction.
         d = layout.local(self.state.references[-2], before)
