@@ -48,7 +48,7 @@ def unit_quaternions(where: str, q_wxyz: Array) -> Array:
 def turned(q_wxyz: Array, e: Array) -> Array:
     """Quaternions (k, 4) of R Exp(e), for e (k, 3), rad."""
     pairs = zip(np.ascontiguousarray(q_wxyz), np.ascontiguousarray(e), strict=True)
-    return np.array([so3.quaternion(so3.from_quaternion(q) @ so3.exp(d)) for q, d in pairs])
+    return so3.stacked((so3.quaternion(so3.from_quaternion(q) @ so3.exp(d)) for q, d in pairs), 4)
 
 
 @dataclass(frozen=True, kw_only=True)

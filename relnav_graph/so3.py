@@ -2,9 +2,9 @@
 
 Matrices are active (``R_ab`` takes b-components to a-components). Perturbations act on
 the right, ``R Exp(d)``, with d in the right-hand frame in radians: GTSAM's ``retract``.
-All functions take and return C-contiguous float64 and are compiled. They are written in
-plain loops over small arrays: array expressions and slices take numba many times as long
-to compile, and run no faster.
+All functions but `stacked` take and return C-contiguous float64 and are compiled. They are
+written in plain loops over small arrays: array expressions and slices take numba many times as
+long to compile, and run no faster.
 
 Sources: Sola, Deray, Atchuthan 2018 (arXiv:1812.01537), eqs. 132-147; Chirikjian 2012.
 """
@@ -12,6 +12,7 @@ Sources: Sola, Deray, Atchuthan 2018 (arXiv:1812.01537), eqs. 132-147; Chirikjia
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,12 @@ Array = NDArray[np.float64]
 # Below this angle the series of the coefficients, to the last digit kept, replace the
 # closed forms: (t - sin t) / t^3 loses eps / t^2 to cancellation, far above it.
 _SERIES = 0.3
+
+
+def stacked(arrays: Iterable[Array], *shape: int) -> Array:
+    """Arrays of one shape, made one after the other, as one (N, *shape): a million of them
+    never exist side by side."""
+    return np.fromiter(arrays, dtype=np.dtype((np.float64, shape)))
 
 
 @jit

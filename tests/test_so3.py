@@ -179,3 +179,10 @@ def test_vector_helpers_equal_those_of_numpy() -> None:
         close(so3.multiply(m, np.ascontiguousarray(n.T)), m @ n.T)
         close(so3.rotate(np.ascontiguousarray(m.T), a), m.T @ a)
         close(so3.unrotate(m, a), m.T @ a)
+
+
+def test_stacked_equals_a_list_of_arrays_and_may_be_empty() -> None:
+    turns = np.random.default_rng(3).normal(size=(50, 3))
+    found = so3.stacked((so3.exp(turn) for turn in turns), 3, 3)
+    np.testing.assert_array_equal(found, [so3.exp(turn) for turn in turns])
+    assert so3.stacked(iter([]), 3, 3).shape == (0, 3, 3)

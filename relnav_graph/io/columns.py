@@ -49,7 +49,7 @@ def to_components(block: Block, values: Array) -> Array:
     if block.manifold != "SO3":
         return np.asarray(values, dtype=np.float64)
     matrices = np.ascontiguousarray(values, dtype=np.float64)
-    return np.array([so3.quaternion(matrix) for matrix in matrices]).reshape(-1, 4)
+    return so3.stacked((so3.quaternion(matrix) for matrix in matrices), 4)
 
 
 def from_components(block: Block, components: Array) -> Array:
@@ -57,7 +57,7 @@ def from_components(block: Block, components: Array) -> Array:
     if block.manifold != "SO3":
         return components
     quaternions = np.ascontiguousarray(components, dtype=np.float64)
-    return np.array([so3.from_quaternion(q) for q in quaternions]).reshape(-1, 3, 3)
+    return so3.stacked((so3.from_quaternion(q) for q in quaternions), 3, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,7 +124,7 @@ class TumblingBody:
 
     def _rotation_values(self, y: Array) -> dict[str, Array]:
         R_tp = _moments(self.target_inertia)[1]
-        R_ip = np.stack([so3.from_quaternion(q) for q in y[:, 12:16]])
+        R_ip = so3.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
         return {
             "target_attitude": R_ip @ R_tp.T,
             "target_rate": y[:, 16:19] @ R_tp.T,
@@ -181,9 +181,9 @@ class InertialPair(TumblingBody, OrbitElements):
         """
         t = checked_times(times)
         y = self._integrate(t, self._craft(), rng)
-        R_ic0 = so3.exp(self.chaser_attitude.copy())
+        turns = so3.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
         values = self._rotation_values(y) | {
-            "chaser_attitude": R_ic0 @ np.stack([so3.exp(self.chaser_rate * s) for s in t]),
+            "chaser_attitude": so3.exp(self.chaser_attitude.copy()) @ turns,
             "chaser_position": y[:, 0:3].copy(),
             "chaser_velocity": y[:, 3:6].copy(),
             "relative_position": -y[:, 6:9],

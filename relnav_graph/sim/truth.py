@@ -177,9 +177,9 @@ class RigidBodyPair(OrbitElements):
         r_tc_o = np.einsum("nij,nj->ni", R_oi, y[:, 6:9])
         w_oi_o = np.zeros_like(r_tc_o)
         w_oi_o[:, 2] = momentum / (r_i**2).sum(axis=1)
-        R_it = np.stack([so3.from_quaternion(q) for q in y[:, 12:16]])
+        R_it = so3.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
         R_ic0 = self.initial_R_io() @ so3.exp(self.chaser_attitude.copy())
-        R_ic = R_ic0 @ np.stack([so3.exp(self.chaser_rate * s) for s in t])
+        R_ic = R_ic0 @ so3.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
         jx, jy, jz = self.target_inertia
         inertia_parameters = np.arctanh([(jy - jz) / jx, (jz - jx) / jy])
         return {

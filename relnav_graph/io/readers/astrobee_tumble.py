@@ -59,7 +59,7 @@ class _Topic:
                 f"{self.path}, at {self.t[bad][0]} s: found the quaternion {q_wxyz[bad][0]},"
                 " expected one of length 1"
             )
-        return np.array([so3.from_quaternion(q) for q in q_wxyz])
+        return so3.stacked((so3.from_quaternion(q) for q in q_wxyz), 3, 3)
 
     def at(self, t: Array, values: Array) -> Array:
         """Vectors (N, 3) or attitudes (N, 3, 3) between the samples, at t (M,)."""
@@ -68,10 +68,9 @@ class _Topic:
         if values.ndim == 2:
             mixed: Array = values[k] + part[:, None] * (values[k + 1] - values[k])
             return mixed
-        turns = [so3.log(a.T @ b) for a, b in zip(values[k], values[k + 1], strict=True)]
-        return np.array(
-            [values[i] @ so3.exp(s * d) for i, s, d in zip(k, part, turns, strict=True)]
-        )
+        turns = (so3.log(a.T @ b) for a, b in zip(values[k], values[k + 1], strict=True))
+        parts = (so3.exp(s * d) for s, d in zip(part, turns, strict=True))
+        return np.asarray(values[k] @ so3.stacked(parts, 3, 3))
 
 
 def _file(folder: Path, topic: str, run: str) -> Path | None:

@@ -131,8 +131,9 @@ def _truth(file: _Variables, t: Array, rows: slice, count: int) -> Truth:
             f"{file.path}, variable 'theta_vk_i': found an angle of {largest:.4g} rad,"
             " expected at most 2 pi: is it in degrees?"
         )
+    turns = np.ascontiguousarray(theta[rows])
     values = {
-        "relative_attitude": np.array([so3.exp(phi) for phi in np.ascontiguousarray(theta)[rows]]),
+        "relative_attitude": so3.stacked((so3.exp(phi) for phi in turns), 3, 3),
         "relative_position": np.ascontiguousarray(file.array("r_i_vk_i", (3, count)).T[rows]),
     }
     return Truth(t, values, source=f"motion capture, {file.path.name}")
