@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
-from relnav_graph.loops import ROW, ROWS, SENSOR, TABLES, Tables, observe, propagate
+from relnav_graph.loops import TABLES, Tables, observe, propagate, rows_of
 from relnav_graph.matrices import cholesky, sandwich, solve_lower
 from relnav_graph.robust import root_weight
 from relnav_graph.updating import column_squares, copy, innovation_covariance, misfit, robust_update
@@ -45,9 +45,7 @@ def _gate(
     for i in range(weight.shape[0]):
         if weight[i] == 0.0 or not (np.isfinite(limit[i]) or losses[i, 0] != 0.0):
             continue
-        one = tables.observations[first + i]
-        start = one[ROW] - tables.observations[first, ROW]
-        rows = tables.sensors[one[SENSOR], ROWS]
+        start, rows = rows_of(tables.observations, tables.sensors, first, i)
         own, v = np.empty((rows, rows)), np.empty((rows, 1))
         for a in range(rows):
             v[a, 0] = r[start + a]
@@ -215,9 +213,7 @@ def _measured_epoch(
     _gate(tables, S, r, limit, losses, first, weight, squares)
     # Rows that are not used stand aside: nothing seen, nothing to see.
     for i in range(last - first):
-        one = tables.observations[first + i]
-        start = one[ROW] - tables.observations[first, ROW]
-        count = tables.sensors[one[SENSOR], ROWS]
+        start, count = rows_of(tables.observations, tables.sensors, first, i)
         if weight[i] != 0.0:
             used[k] += count
             if losses[i, 0] != 0.0:  # the misfit counts as far as the loss lets it

@@ -42,6 +42,7 @@ __all__ = [
     "measure",
     "observe",
     "propagate",
+    "rows_of",
     "transition",
     "whitening",
 ]
@@ -119,6 +120,14 @@ def _gather(x: Array, places: Indices, out: Array) -> None:
     """The stored values of some blocks of a state x (size,)."""
     for i in range(places.shape[0]):
         out[i] = x[places[i]]
+
+
+@jit
+def rows_of(observations: Indices, sensors: Indices, first: int, i: int) -> tuple[int, int]:
+    """Where the rows of observation first + i begin, counted from those of `first`, and how
+    many they are."""
+    one = observations[first + i]
+    return one[ROW] - observations[first, ROW], sensors[one[SENSOR], ROWS]
 
 
 @jit

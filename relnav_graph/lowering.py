@@ -101,13 +101,6 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
         }
         self._singly_assigned_vars |= self._borrowed
 
-    def lower_inst(self, inst: Any) -> None:
-        if isinstance(inst, ir.StaticSetItem) and self._is_array(inst.target):
-            signature = self.fndesc.calltypes[inst]
-            self.lower_setitem(inst.target, inst.index_var, inst.value, signature)
-        else:
-            super().lower_inst(inst)
-
     def lower_assign(self, ty: Any, inst: Any) -> Any:
         name = inst.target.name
         if name in self._borrowed and self.typeof(f"arg.{inst.value.name}") == ty:
@@ -119,9 +112,6 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
         if member is not None:
             out = self.builder.extract_value(self.loadvar(expr.value.name), member)
             self.incref(resty, out)
-        elif expr.op == "static_getitem" and expr.index_var and self._is_array(expr.value):
-            signature = self.fndesc.calltypes[expr]
-            out = self.lower_getitem(resty, expr, expr.value, expr.index_var, signature)
         elif resty == types.range_state64_type and self._is_range(expr):
             out = self._range([self._cast_var(limit, types.int64) for limit in expr.args])
         elif expr.op == "getiter" and resty == types.range_iter64_type:
@@ -134,9 +124,6 @@ class _Lower(lowering.Lower):  # type: ignore[misc]
         return out
 
     # Structures and elements of arrays -------------------------------------------
-
-    def _is_array(self, variable: Any) -> bool:
-        return isinstance(self.typeof(variable.name), types.Array)
 
     def _field_index(self, kind: Any, name: str) -> int:
         """Where numba's structure for an array holds its shape, its data and so on."""

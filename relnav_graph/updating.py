@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import so3
 from relnav_graph.compiled import jit
-from relnav_graph.loops import ROW, ROWS, SENSOR, Tables, observe
+from relnav_graph.loops import Tables, observe, rows_of
 from relnav_graph.matrices import (
     SPARE,
     householder,
@@ -305,9 +305,7 @@ def robust_update(
         so3.put_vector(at[0], 0, x)
         observe(tables, first, last, epoch, at, chosen, r, H, status)
         for i in range(count):
-            one = tables.observations[first + i]
-            start = one[ROW] - tables.observations[first, ROW]
-            height = tables.sensors[one[SENSOR], ROWS]
+            start, height = rows_of(tables.observations, tables.sensors, first, i)
             s2[i] = sum_of_squares(r[start : start + height]) / height
             if status[i] != 0:  # impossible now: it does not fit
                 s2[i] = np.inf
