@@ -14,8 +14,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.readers import read_raw
 from relnav_graph.io.readers.astrobee_tumble import authors_rate
@@ -23,7 +23,6 @@ from relnav_graph.metrics import errors, with_smoothed
 from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import load_scenario
 
-Array = NDArray[np.float64]
 SCENARIO = Path(__file__).with_name("astrobee_tumble.toml")
 SETTLED = 30.0  # s
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
@@ -16,7 +16,6 @@ from relnav_graph.units import Quantity
 
 from ._mounting import MountedSensor
 
-Array = NDArray[np.float64]
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 #: How far from one the length of a measured quaternion may be: digits lost in a file, not
 #: a number that is no quaternion.
@@ -73,7 +72,7 @@ class AttitudeSensor(MountedSensor):
         """The attitude (3, 3) that would be measured without noise."""
         raise NotImplementedError
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """q_wxyz (k, 4), w >= 0."""
         one = so3.quaternion(np.ascontiguousarray(self.attitude(*x)))
         return np.tile(one, (len(ids), 1))

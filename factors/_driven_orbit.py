@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, Block
@@ -19,7 +19,6 @@ from ._gravity import FIELD, Degree, coast, earth_field
 from ._strapdown import LARGEST_TURN, STRAPDOWN_INPUTS, condense, velocity_gained
 from .accelerometer_bias import Navigation, bias_block
 
-Array = NDArray[np.float64]
 # Columns of the sensitivities after those of the orbits: R_ic, gyro bias, accelerometer bias.
 ATTITUDE, GYRO, FORCE, OTHERS = 0, 3, 6, 9
 

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.units import Quantity
 
 from ._white_noise import duration
-
-Array = NDArray[np.float64]
 
 
 @jit

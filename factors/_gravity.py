@@ -9,15 +9,14 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 
 from ._white_noise import add_integrated_white_noise, step_count
 
-Array = NDArray[np.float64]
 #: Highest degree of the zonal harmonics of a field; 0 for that of a sphere.
 Degree = Literal[0, 2, 3, 4]
 FIELD = 5

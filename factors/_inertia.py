@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit, jit_wrapped
 from relnav_graph.state import TRACELESS
-
-Array = NDArray[np.float64]
 
 
 @jit_wrapped

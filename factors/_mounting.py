@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.models import SensorModel
 from relnav_graph.state import check_rotation
 from relnav_graph.units import Quantity
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.state import (
@@ -24,7 +24,6 @@ from relnav_graph.units import Quantity
 
 from ._mounting import MountedSensor
 
-Array = NDArray[np.float64]
 #: How the pose stands in the state: in the target's orbital frame, by R_oc, R_ot and
 #: r_tc_o; or directly relative to the target, by R_tc and r_tc_t.
 Pose = Literal["orbital", "target"]
@@ -97,10 +96,10 @@ class PointSensor(MountedSensor):
     def constants(self) -> Array:
         return np.concatenate([super().constants(), self.sensor_position])
 
-    def observables(self) -> NDArray[np.int64]:
+    def observables(self) -> Indices:
         return np.arange(len(self.points))
 
-    def observation_data(self, ids: NDArray[np.int64]) -> Array:
+    def observation_data(self, ids: Indices) -> Array:
         bad = (ids < 0) | (ids >= len(self.points))
         if bad.any():
             last = len(self.points) - 1
@@ -128,18 +127,18 @@ class PointSensor(MountedSensor):
         found[joint] = (x[0].T, x[1].T, -so3.skew(r))
         return found
 
-    def points_in_sensor(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def points_in_sensor(self, ids: Indices, *x: Array) -> Array:
         """Positions (k, 3) of the points `ids` in sensor axes, m."""
         packed = np.concatenate([np.ravel(value) for value in x])
         p = self.constants()
         return np.array([point_in_sensor(p, q, packed)[0] for q in self.observation_data(ids)])
 
-    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+    def centre(self, ids: Indices, z: Array) -> Array:
         """About where the middle of the points `ids` is, in sensor axes (3,), m."""
         raise NotImplementedError
 
     def starts(
-        self, ids: NDArray[np.int64], z: Array, known: Mapping[str, Array]
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
     ) -> Iterator[dict[str, Array]]:
         """Rough poses that would put the middle of the seen points where it is seen, one for
         each of the 24 attitudes that take axes to axes.

@@ -6,11 +6,9 @@ A vector and its Jacobian to (w, k), n = 3 + dim(k) columns, stand side by side:
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-
-Array = NDArray[np.float64]
 
 
 @jit

@@ -11,12 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 
-Array = NDArray[np.float64]
 #: Table of a gyro: the mean of w_ci_c over each sample.
 GYRO_COLUMNS = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 #: Table of an accelerometer: the mean of the specific force over each sample, in axes of c.

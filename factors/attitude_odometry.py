@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.state import Block
 
@@ -16,8 +16,6 @@ from ._attitude import AttitudeSensor, attitude_residual
 from ._points import Pose, pose_blocks
 from .previous_pose import previous_blocks
 from .relative_pose import relative_attitude
-
-Array = NDArray[np.float64]
 
 
 @jit

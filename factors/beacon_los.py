@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit, jit_wrapped
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
@@ -15,8 +15,6 @@ from relnav_graph.units import Quantity
 
 from ._points import PointSensor, point_in_sensor
 from ._sphere import OPPOSITE, direction, sphere_residual, turned
-
-Array = NDArray[np.float64]
 
 
 @jit_wrapped
@@ -61,7 +59,7 @@ class BeaconLineOfSight(PointSensor):
             raise InputError(f"{self.kind}: found {worst}, expected a unit vector")
         return z / lengths  # type: ignore[no-any-return]
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Unit vectors (k, 3) in sensor axes."""
         p, packed = self.constants(), np.concatenate([np.ravel(value) for value in x])
         return np.array([line_of_sight(p, q, packed)[0] for q in self.observation_data(ids)])
@@ -70,7 +68,7 @@ class BeaconLineOfSight(PointSensor):
         """Turn each line by the rotation e (k, 2), rad, across it."""
         return turned(np.ascontiguousarray(z), np.ascontiguousarray(e))
 
-    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+    def centre(self, ids: Indices, z: Array) -> Array:
         """As far away as makes the points' spread look as large as it does."""
         middle = z.mean(axis=0)
         spread = np.sqrt(((z - middle) ** 2).sum(axis=1).mean())

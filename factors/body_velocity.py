@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import (
@@ -23,8 +23,6 @@ from relnav_graph.units import Quantity
 
 from ._points import Pose
 from ._strapdown import GYRO_COLUMNS
-
-Array = NDArray[np.float64]
 
 
 @jit

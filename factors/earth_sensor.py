@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.models import Measurement
@@ -18,7 +18,6 @@ from relnav_graph.units import Quantity
 from ._gauss_markov import GaussMarkov
 from ._mounting import MountedSensor
 
-Array = NDArray[np.float64]
 EARTH_SENSOR_BIAS = Block("earth_sensor_bias", "b_e_s", "vector", 2, "rad", "s", "deg")
 _BEHIND = "the Earth is behind the sensor"
 
@@ -90,7 +89,7 @@ class EarthSensor(MountedSensor):
             )
         return z
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Roll and pitch (k, 2), rad. Raises GeometryError when the Earth is behind."""
         packed = np.concatenate([np.ravel(value) for value in x[:2]])
         e, _ = earth_in_sensor(np.ascontiguousarray(self.sensor_attitude), packed)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel, Kernel
 from relnav_graph.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
@@ -16,8 +16,6 @@ from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
 from relnav_graph.units import Quantity
 
 from ._white_noise import add_step, duration, step_count
-
-Array = NDArray[np.float64]
 
 
 @jit

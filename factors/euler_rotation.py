@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.models import DynamicsModel, Kernel
@@ -26,8 +26,6 @@ from relnav_graph.units import Quantity
 from ._inertia import coefficients_of, full_coefficients, principal_coefficients
 from ._rate_steps import published_step, rate_step, start_of
 from ._white_noise import add_step, duration, step_count
-
-Array = NDArray[np.float64]
 
 
 @jit

@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.models import Measurement, SensorModel
 from relnav_graph.state import CHASER_ATTITUDE, CHASER_POSITION, Block
 from relnav_graph.units import Quantity
-
-Array = NDArray[np.float64]
 
 
 @jit
@@ -61,7 +59,7 @@ class GpsPosition(SensorModel):
     def constants(self) -> Array:
         return self.antenna_position
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Positions (k, 3) in i, m."""
         arm = x[1] @ self.antenna_position if len(x) > 1 else 0.0
         return np.tile(x[0] + arm, (len(ids), 1))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH
 from relnav_graph.errors import GeometryError, InputError
@@ -18,7 +19,6 @@ from relnav_graph.units import Quantity
 
 from .receiver_clock import CLOCK_BIAS
 
-Array = NDArray[np.float64]
 #: Distances from the Earth's centre that a navigation satellite can have, m.
 _LOWEST, _HIGHEST = 1e7, 5e7
 #: A clock so wrong that a pseudorange is shorter than that, m, is set before it is used.
@@ -83,7 +83,7 @@ class GpsPseudorange(SensorModel):
     def reads(self) -> tuple[Block, ...]:
         return CHASER_POSITION, CLOCK_BIAS
 
-    def observables(self) -> NDArray[np.int64]:
+    def observables(self) -> Indices:
         return np.arange(self.satellites)
 
     def accept(self, z: Array) -> Array:
@@ -108,7 +108,7 @@ class GpsPseudorange(SensorModel):
         """The sensor with its satellites where they are at time t, s, for the simulator."""
         return replace(self, time=t)
 
-    def places(self, ids: NDArray[np.int64]) -> Array:
+    def places(self, ids: Indices) -> Array:
         """Simulated satellites at `time` in i, (k, 3), m."""
         per_plane = self.satellites // self.planes
         plane, slot = ids // per_plane, ids % per_plane
@@ -121,7 +121,7 @@ class GpsPseudorange(SensorModel):
         y = c * np.sin(node) + level * np.cos(node)
         return self.semi_major_axis * np.stack([x, y, height], axis=1)
 
-    def _lines(self, ids: NDArray[np.int64], r_c: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _lines(self, ids: Indices, r_c: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Places (k, 3) and distances (k,), m, and which are below the mask or behind the
         Earth (k,)."""
         places = self.places(ids)
@@ -132,11 +132,11 @@ class GpsPseudorange(SensorModel):
         behind = (along < 0) & (square * (1 - along**2) < EARTH_RADIUS**2)
         return places, distance, (along < np.sin(self.mask)) | behind
 
-    def in_view(self, ids: NDArray[np.int64], *x: Array) -> NDArray[np.int64]:
+    def in_view(self, ids: Indices, *x: Array) -> Indices:
         """Those above the mask and not behind the Earth."""
         return ids[~self._lines(ids, x[0])[2]]
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Pseudorange and place (k, 4), m. Raises GeometryError when a satellite is below
         the mask or behind the Earth."""
         places, distance, hidden = self._lines(ids, x[0])

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.models import DynamicsModel
@@ -19,8 +19,6 @@ from relnav_graph.units import Quantity
 from ._white_noise import duration, step_count
 from .euler_rotation import EulerRotation
 from .euler_rotation import known_kernel as free_rotation
-
-Array = NDArray[np.float64]
 
 
 @jit

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
@@ -19,8 +19,6 @@ from relnav_graph.units import Quantity
 from ._gauss_markov import walk_and_integral
 from ._strapdown import GYRO_COLUMNS, LARGEST_TURN, condense
 from ._white_noise import carry, duration
-
-Array = NDArray[np.float64]
 
 
 @jit

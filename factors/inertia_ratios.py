@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.state import INERTIA, INERTIA_MATRIX, Block
 
 from ._inertia import inertia_matrix, principal_ratios
 
-Array = NDArray[np.float64]
 #: Where (J_yy, J_zz, J_xy, J_xz, J_yz) stand in J.
 _ENTRIES = ([1, 2, 0, 0, 1], [1, 2, 1, 2, 2])
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.state import (
     CHASER_POSITION,
@@ -21,8 +21,6 @@ from relnav_graph.state import (
 from ._driven_orbit import OTHERS, DrivenOrbit, drive
 from ._gravity import Degree
 from .accelerometer_bias import Navigation
-
-Array = NDArray[np.float64]
 
 
 @jit

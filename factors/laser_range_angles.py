@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
@@ -18,7 +18,6 @@ from relnav_graph.units import Quantity
 from ._mounting import MountedSensor
 from ._sphere import OPPOSITE, direction, sphere_residual, turned
 
-Array = NDArray[np.float64]
 #: Which axes carry the sensor: the chaser's, by its attitude in the state; or o itself, for
 #: angles that have been turned there already.
 Axes = Literal["chaser", "orbital"]
@@ -121,7 +120,7 @@ class LaserRangeAngles(MountedSensor):
                 )
         return np.hstack([z[:, :1], _lines(z)])
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Range, m, azimuth and elevation, rad, (k, 3)."""
         packed = np.concatenate([np.ravel(value) for value in x])
         s, _ = target_in_sensor(np.ascontiguousarray(self.sensor_attitude), packed)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.models import Measurement
 from relnav_graph.state import Block
@@ -19,8 +19,6 @@ from ._mounting import MountedSensor
 from ._points import Pose, point_in_sensor, pose_blocks
 from .attitude_odometry import turn_between
 from .previous_pose import previous_blocks
-
-Array = NDArray[np.float64]
 
 
 @jit
@@ -104,7 +102,7 @@ class PoseOdometry(MountedSensor):
         z = super().accept(z)
         return np.hstack([z[:, :3], unit_quaternions(self.kind, z[:, 3:])])
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """r and q_wxyz (k, 7), w >= 0."""
         packed = np.concatenate([np.ravel(value) for value in x])
         turn, place, _, _ = pose_between(self.constants(), packed)

@@ -6,17 +6,15 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import Block
 from relnav_graph.units import Quantity
 
 from ._points import Pose, pose_blocks
-
-Array = NDArray[np.float64]
 
 
 def previous_blocks(pose: Pose) -> tuple[Block, ...]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import Block
@@ -15,7 +15,6 @@ from relnav_graph.units import Quantity
 
 from ._white_noise import duration
 
-Array = NDArray[np.float64]
 #: Offset of the clock times the speed of light, and its rate.
 CLOCK_BIAS = Block("clock_bias", "c_b", "vector", 1, "m", "-", "m")
 CLOCK_DRIFT = Block("clock_drift", "c_d", "vector", 1, "m/s", "-", "m/s")

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.state import CHASER_ATTITUDE, RELATIVE_ATTITUDE, TARGET_ATTITUDE, Block
 
 from ._attitude import AttitudeSensor, attitude_residual
-
-Array = NDArray[np.float64]
 
 
 @jit
@@ -73,7 +71,7 @@ class VisionAttitude(AttitudeSensor):
         return np.array([*super().constants(), self.seen_from == "fixed"], dtype=np.float64)
 
     def starts(
-        self, ids: NDArray[np.int64], z: Array, known: Mapping[str, Array]
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
     ) -> Iterator[dict[str, Array]]:
         """The attitude as measured; with poses in the orbital frame, by the chaser's."""
         R_ct = self.sensor_attitude @ so3.from_quaternion(z[0])

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import MATRIX, STACK, jit, jit_as
 from relnav_graph.models import DerivedQuantity
 from relnav_graph.state import (
@@ -19,8 +19,6 @@ from relnav_graph.state import (
     TARGET_ATTITUDE,
     Block,
 )
-
-Array = NDArray[np.float64]
 
 
 def _numbers(v: Array) -> Array:

@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.orbit import KeplerOrbit
 from relnav_graph.state import CHASER_ATTITUDE, Block
 
 from ._attitude import AttitudeSensor, attitude_residual
-
-Array = NDArray[np.float64]
 
 
 @jit

@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import GeometryError
 from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
 
 from ._points import PointSensor, point_in_sensor
-
-Array = NDArray[np.float64]
 
 
 @jit
@@ -86,7 +84,7 @@ class StereoPoint(PointSensor):
         camera = [self.fu, self.fv, self.cu, self.cv, self.baseline]
         return np.concatenate([super().constants(), camera])
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Pixels (k, 4). Raises GeometryError on a point behind the camera."""
         p, out = self.constants(), np.empty((len(ids), 4))
         for k, point_s in enumerate(self.points_in_sensor(ids, *x)):
@@ -95,7 +93,7 @@ class StereoPoint(PointSensor):
             out[k] = project_stereo(p, point_s)[0]
         return out
 
-    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+    def centre(self, ids: Indices, z: Array) -> Array:
         """The middle of the points, each where its two lines meet."""
         depth = self.fu * self.baseline / np.maximum(z[:, 0] - z[:, 2], 1e-3)
         across = (z[:, 0] - self.cu) / self.fu, (z[:, 1] - self.cv) / self.fv
@@ -119,11 +117,11 @@ class StereoPointCartesian(PointSensor):
 
     sigma: Annotated[Array, Quantity("m", (3,), positive=True)]
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Positions (k, 3) in sensor axes, m."""
         return self.points_in_sensor(ids, *x)
 
-    def centre(self, ids: NDArray[np.int64], z: Array) -> Array:
+    def centre(self, ids: Indices, z: Array) -> Array:
         """The middle of the positions."""
         return np.asarray(z.mean(axis=0))
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import (
@@ -22,8 +22,6 @@ from relnav_graph.units import Quantity
 
 from ._points import Pose
 from ._white_noise import add_integrated_white_noise, duration
-
-Array = NDArray[np.float64]
 
 
 @jit

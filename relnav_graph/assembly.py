@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import loops
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.models import Dynamics, Sensor
@@ -25,9 +26,6 @@ from relnav_graph.problem import Epoch, Problem, check_epoch
 from relnav_graph.state import Layout
 
 __all__ = ["Assembly", "MeasurementRows", "ProcessRows"]
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, jit_as
 from relnav_graph.filtering import NOT_POSITIVE
 from relnav_graph.matrices import (
@@ -20,9 +20,6 @@ from relnav_graph.state import local, retract
 from relnav_graph.updating import copy, to_tangent
 
 __all__ = ["backward"]
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @jit_as(INDEX_MATRIX, MATRIX, STACK, MATRIX, STACK, STACK, types.int64, MATRIX, STACK, INDICES)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly, MeasurementRows
 from relnav_graph.errors import InputError
 from relnav_graph.noise import inverse_cholesky
@@ -20,8 +20,6 @@ from relnav_graph.sweep import Anchor, linearize
 from relnav_graph.track import Track, Truth
 
 __all__ = ["Bounds", "bounds", "true_trajectory"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +52,7 @@ def true_trajectory(problem: Problem, truth: Truth | None) -> Array:
     return x
 
 
-def _filtered(
-    P: Array, F: Array, Q: Array, rows: MeasurementRows, offsets: NDArray[np.int64]
-) -> Array:
+def _filtered(P: Array, F: Array, Q: Array, rows: MeasurementRows, offsets: Indices) -> Array:
     """The covariance recursion of the Kalman filter, updates in Joseph's form."""
     one, out = np.eye(len(P)), []
     for k in range(len(offsets) - 1):

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly, MeasurementRows, ProcessRows
 from relnav_graph.sweep import Anchor, Conditionals
 
@@ -24,8 +24,6 @@ __all__ = [
     "epoch_factor",
     "interval_factor",
 ]
-
-Array = NDArray[np.float64]
 
 
 def epoch_factor(key: int, A: Array, error: Array) -> gtsam.JacobianFactor:
@@ -48,7 +46,7 @@ class Rows:
     A: Array
     process: ProcessRows
     measurements: MeasurementRows
-    offsets: NDArray[np.int64]
+    offsets: Indices
 
 
 def chain_rows(assembly: Assembly, anchor: Anchor, x: Array, whiten: Array, weight: Array) -> Rows:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly
 from relnav_graph.chain import Rows, chain_factors, chain_rows, eliminate
 from relnav_graph.estimators.gating import residual_weights
@@ -25,7 +26,6 @@ from relnav_graph.sweep import anchor_of, linearize
 
 __all__ = ["NoiseResiduals", "estimate_factors", "noise_residuals"]
 
-Array = NDArray[np.float64]
 #: The prior is a group too: what it says is part of what the residuals say.
 PRIOR = "prior"
 
@@ -58,8 +58,8 @@ class _Groups:
     the process rows belongs."""
 
     names: list[str]
-    of_measurement: NDArray[np.int64]
-    of_process: NDArray[np.int64]
+    of_measurement: Indices
+    of_process: Indices
 
     def sums(self, prior: Array, process: Array, measurements: Array) -> Array:
         """Totals by group of values for each row: (n,), (M, n), (R,)."""

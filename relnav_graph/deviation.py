@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
 from relnav_graph.models import Derived, DerivedQuantity
 from relnav_graph.state import Block
@@ -32,7 +33,6 @@ __all__ = [
     "nees",
 ]
 
-Array = NDArray[np.float64]
 Band = tuple[float, float]
 
 #: Truth and estimate are of one epoch when their times differ by less than this, s.
@@ -176,7 +176,7 @@ def joint(found: Iterable[StateErrors], track: Track) -> tuple[Array, Array]:
     return e, track.P[np.isin(track.t, common)][:, index[:, None], index]
 
 
-def nees(e: Array, P: Array) -> tuple[Array, NDArray[np.int64]]:
+def nees(e: Array, P: Array) -> tuple[Array, Indices]:
     """Normalised error squared ``e^T P^+ e`` (N,) and the rank of P (N,).
 
     The inverse is taken on the range of the correlation matrix, so that units do not

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.bounds import Bounds, bounds
 from relnav_graph.deviation import estimates
@@ -26,7 +26,6 @@ from relnav_graph.units import convert
 
 __all__ = ["Direction", "explain", "named_directions"]
 
-Array = NDArray[np.float64]
 #: A direction of which the data leave this part of the prior's sigma is called weak, or
 #: not observable.
 WEAK, UNOBSERVABLE = 0.3, 0.9

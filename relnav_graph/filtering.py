@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
 from relnav_graph.loops import TABLES, Tables, observe, propagate, rows_of
 from relnav_graph.matrices import cholesky, sandwich, solve_lower
@@ -15,8 +15,6 @@ from relnav_graph.updating import column_squares, copy, innovation_covariance, m
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # What stopped a step: the first of four numbers, before process or observation and status.
 PROPAGATED, SENSOR_BROKE, NOT_POSITIVE, NOT_FINITE = 1, 2, 3, 4

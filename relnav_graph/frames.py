@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 
 __all__ = ["rtn_from_inertial", "xiong_from_rtn"]
-
-Array = NDArray[np.float64]
 
 
 def rtn_from_inertial(r_i: Array, v_i: Array) -> Array:

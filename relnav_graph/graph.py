@@ -16,8 +16,8 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly, process_rows
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.models import Dynamics, Measurement, Sensor
@@ -25,8 +25,6 @@ from relnav_graph.problem import Epoch
 from relnav_graph.state import Block, Layout
 
 __all__ = ["insert_block", "measurement_factor", "process_factor", "read_block"]
-
-Array = NDArray[np.float64]
 
 
 def insert_block(values: gtsam.Values, key: int, block: Block, value: Array) -> None:

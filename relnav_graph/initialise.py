@@ -14,8 +14,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, solve_gated
@@ -27,7 +27,6 @@ from relnav_graph.state import Layout
 __all__ = ["FRAMES", "Hypothesis", "decide", "hypotheses", "initialise"]
 
 _LOG = logging.getLogger(__name__)
-Array = NDArray[np.float64]
 
 #: Half the squared residuals by which one hypothesis must fit better than the next: the odds
 #: are then e^8, 3000 to 1.
@@ -58,9 +57,7 @@ def _same(layout: Layout, a: Array, b: Array, names: Sequence[str]) -> bool:
     return True
 
 
-def _improve(
-    assembly: Assembly, x: Array, columns: NDArray[np.int64]
-) -> tuple[Array, float, Array]:
+def _improve(assembly: Assembly, x: Array, columns: Indices) -> tuple[Array, float, Array]:
     """Least squares on one epoch over some tangent columns (Levenberg): x, cost, H."""
     every, damping = np.ones(assembly.observations), 1e-3
     rows = assembly.measure(x[None], every)

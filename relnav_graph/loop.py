@@ -14,10 +14,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from relnav_graph import sim
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import (
     EstimationError,
@@ -36,8 +36,6 @@ from relnav_graph.sim.interval_inputs import IntervalInputs
 from relnav_graph.track import Track, Truth
 
 __all__ = ["ClosedLoop", "Flown", "Passed", "flies", "fly", "fly_all", "run_passes", "warm_up"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import (
     GUARD,
     INDEX_MATRIX,
@@ -46,9 +46,6 @@ __all__ = [
     "transition",
     "whitening",
 ]
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class Tables(NamedTuple):

@@ -10,16 +10,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from relnav_graph.arrays import Array
 from relnav_graph.models import Measurement, Sensor
 from relnav_graph.state import Layout
 from relnav_graph.units import unit_scale
 
 __all__ = ["wrong_unit"]
 
-Array = NDArray[np.float64]
 #: Units that people mean, by the end of a column's name, and its SI unit.
 _MEANT = {
     "_rad_s": ("rad/s", ("deg/s", "deg/h")),

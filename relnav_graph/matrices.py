@@ -10,8 +10,8 @@ Source: Golub and Van Loan 2013, algorithms 3.1.1, 4.2.2 and 5.2.1.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit, jit_columns, jit_vector
 
 __all__ = [
@@ -28,7 +28,6 @@ __all__ = [
     "transpose",
 ]
 
-Array = NDArray[np.float64]
 
 #: Columns that `householder` wants beyond the last one.
 SPARE = 3

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.deviation import (
     Band,
     StateErrors,
@@ -49,8 +50,6 @@ __all__ = [
     "table",
     "with_smoothed",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

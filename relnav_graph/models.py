@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import GUARD, MARK
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.registry import classes
@@ -32,7 +32,6 @@ __all__ = [
     "derived_quantities",
 ]
 
-Array = NDArray[np.float64]
 Kernel = Callable[..., Any]
 ENTRY_POINTS = "relnav_graph.models"
 
@@ -49,7 +48,7 @@ class Measurement:
     sensor: str
     t: float
     z: Array
-    ids: NDArray[np.int64]
+    ids: Indices
     t_arrival: float | None = None
 
     def __post_init__(self) -> None:
@@ -93,11 +92,11 @@ class Sensor(Protocol):
     def constants(self) -> Array:
         """p of the kernel."""
 
-    def observation_data(self, ids: NDArray[np.int64]) -> Array:
+    def observation_data(self, ids: Indices) -> Array:
         """q of the kernel, (k, nq): what belongs to each observation. Raises InputError
         on an id that the sensor does not know."""
 
-    def observables(self) -> NDArray[np.int64]:
+    def observables(self) -> Indices:
         """Ids that a simulated sensor looks for."""
 
     def accept(self, z: Array) -> Array:
@@ -107,10 +106,10 @@ class Sensor(Protocol):
     def at(self, t: float) -> Sensor:
         """The sensor as it is at time t, s, for the simulator: transmitters may move."""
 
-    def in_view(self, ids: NDArray[np.int64], *x: Array) -> NDArray[np.int64]:
+    def in_view(self, ids: Indices, *x: Array) -> Indices:
         """Those of the ids that are worth a try in simulation."""
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """z (k, nz) without noise, from one value per block read. Raises GeometryError."""
 
     def perturb(self, z: Array, e: Array) -> Array:
@@ -259,10 +258,10 @@ class SensorModel:
     def constants(self) -> Array:
         return np.zeros(0)
 
-    def observation_data(self, ids: NDArray[np.int64]) -> Array:
+    def observation_data(self, ids: Indices) -> Array:
         return np.zeros((len(ids), 0))
 
-    def observables(self) -> NDArray[np.int64]:
+    def observables(self) -> Indices:
         return np.zeros(1, dtype=np.int64)
 
     def accept(self, z: Array) -> Array:
@@ -275,7 +274,7 @@ class SensorModel:
         """The same at all times, unless a model says otherwise."""
         return self  # type: ignore[return-value]
 
-    def in_view(self, ids: NDArray[np.int64], *x: Array) -> NDArray[np.int64]:
+    def in_view(self, ids: Indices, *x: Array) -> Indices:
         """All of them, unless a model says otherwise."""
         return ids
 

@@ -6,15 +6,14 @@ import logging
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.models import Measurement, Sensor
 
 __all__ = ["inverse_cholesky", "measurement_noise", "raised", "with_constraints"]
 
 _LOG = logging.getLogger(__name__)
-Array = NDArray[np.float64]
 
 #: A sigma below this fraction of the number that it belongs to is lost in rounding.
 RESOLUTION = 1e2 * float(np.finfo(np.float64).eps)

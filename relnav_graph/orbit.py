@@ -14,17 +14,15 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["KeplerOrbit", "chief_motion", "frame_rotation", "relative_transition", "two_body"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

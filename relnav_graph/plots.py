@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.deviation import errors, estimates, finite
 from relnav_graph.metrics import with_smoothed
 from relnav_graph.models import Derived
@@ -34,7 +34,6 @@ __all__ = [
     "trajectory_figure",
 ]
 
-Array = NDArray[np.float64]
 
 #: Distinct to colour-blind readers (Okabe and Ito 2008, last two added); black is truth.
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#882255")

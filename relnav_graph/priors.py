@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.problem import Prior
 from relnav_graph.settings import BlockPrior, Problems, ScenarioFile
@@ -17,8 +17,6 @@ from relnav_graph.track import Truth
 from relnav_graph.units import Quantity
 
 __all__ = ["check_prior", "make_prior"]
-
-Array = NDArray[np.float64]
 
 
 def _prior_sigma(block: Block, value: Any) -> Array:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.models import Dynamics, Measurement, Sensor, check_inputs
 from relnav_graph.robust import Loss
@@ -19,7 +19,6 @@ from relnav_graph.state import Layout
 
 __all__ = ["Epoch", "InputSeries", "Prior", "Problem", "make_epochs"]
 
-Array = NDArray[np.float64]
 #: Times closer than this are the same, s: above the rounding of stamps of 1e9 s.
 SAME_TIME = 1e-6
 

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relnav_graph.arrays import Array
 from relnav_graph.models import Measurement
 from relnav_graph.problem import InputSeries
 from relnav_graph.track import Truth
@@ -25,7 +23,7 @@ class Recording:
     nested tables; a value written in the scenario wins over them.
     """
 
-    times: NDArray[np.float64]
+    times: Array
     measurements: tuple[Measurement, ...]
     inputs: Mapping[str, InputSeries] = field(default_factory=dict)
     truth: Truth | None = None

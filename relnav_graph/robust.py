@@ -20,14 +20,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 
 __all__ = ["TUNING", "Loss", "LossKind", "root_weight", "root_weights"]
 
-Array = NDArray[np.float64]
 LossKind = Literal["huber", "cauchy", "dcs", "tukey"]
 
 NONE, HUBER, CAUCHY, DCS, TUKEY = 0, 1, 2, 3, 4

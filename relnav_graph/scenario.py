@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from relnav_graph import models, sim
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import announce
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.initialise import initialise
@@ -44,7 +44,6 @@ from relnav_graph.units import parse_quantity
 __all__ = ["Scenario", "ScenarioError", "load_scenario", "make_scenario", "override", "read_toml"]
 
 _LOG = logging.getLogger(__name__)
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

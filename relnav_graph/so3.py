@@ -15,12 +15,10 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit, jit_wrapped
 from relnav_graph.matrices import product, sandwich
-
-Array = NDArray[np.float64]
 
 # Below this angle the series of the coefficients, to the last digit kept, replace the
 # closed forms: (t - sin t) / t^3 loses eps / t^2 to cancellation, far above it.

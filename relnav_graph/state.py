@@ -14,16 +14,14 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import INDEX_MATRIX, MATRIX, jit, jit_as, jit_wrapped
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.units import unit_scale
 
 __all__ = ["Block", "Layout", "check_rotation"]
-
-Array = NDArray[np.float64]
 
 
 def check_rotation(where: str, matrix: Array) -> None:
@@ -98,7 +96,7 @@ _ROTATION = np.array([[1, 0, 0, 3]])
 
 
 @jit_wrapped
-def retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
+def retract(x: Array, d: Array, kinds: Indices) -> Array:
     """x (+) d; kinds has one row (is_SO3, stored offset, tangent offset, dim) a block."""
     out = x.copy()
     for k in range(kinds.shape[0]):
@@ -113,7 +111,7 @@ def retract(x: Array, d: Array, kinds: NDArray[np.int64]) -> Array:
 
 
 @jit_wrapped
-def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
+def local(a: Array, b: Array, kinds: Indices, dim: int) -> Array:
     """The tangent vector d with a (+) d = b."""
     out = np.empty(dim)
     for k in range(kinds.shape[0]):
@@ -128,7 +126,7 @@ def local(a: Array, b: Array, kinds: NDArray[np.int64], dim: int) -> Array:
 
 
 @jit
-def times_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) -> None:
+def times_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool) -> None:
     """``a = a J``, with the block-diagonal right Jacobian J (or its inverse) of the
     retraction at d: the identity but for attitudes."""
     row = np.empty(3)
@@ -146,7 +144,7 @@ def times_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) 
 
 
 @jit
-def times_transposed_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inverse: bool) -> None:
+def times_transposed_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool) -> None:
     """``a = a J^T``: the right Jacobian at -d is the transpose of that at d."""
     back = np.empty(d.shape[0])
     for i in range(d.shape[0]):
@@ -155,7 +153,7 @@ def times_transposed_jacobian(a: Array, d: Array, kinds: NDArray[np.int64], inve
 
 
 @jit
-def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
+def block_jacobian(d: Array, kinds: Indices, inverse: bool) -> Array:
     """The Jacobian of :func:`times_jacobian`, (n, n)."""
     out = so3.identity(d.shape[0])
     times_jacobian(out, d, kinds, inverse)
@@ -163,14 +161,14 @@ def block_jacobian(d: Array, kinds: NDArray[np.int64], inverse: bool) -> Array:
 
 
 @jit_as(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
-def retract_all(x: Array, d: Array, kinds: NDArray[np.int64], out: Array) -> None:
+def retract_all(x: Array, d: Array, kinds: Indices, out: Array) -> None:
     """:func:`retract` for each row."""
     for k in range(x.shape[0]):
         so3.put_vector(out[k], 0, retract(x[k], d[k], kinds))
 
 
 @jit_as(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
-def local_all(a: Array, b: Array, kinds: NDArray[np.int64], out: Array) -> None:
+def local_all(a: Array, b: Array, kinds: Indices, out: Array) -> None:
     """:func:`local` for each row."""
     for k in range(a.shape[0]):
         so3.put_vector(out[k], 0, local(a[k], b[k], kinds, out.shape[1]))
@@ -234,7 +232,7 @@ class Layout:
         return self._tangent[self.block(name).name]
 
     @cached_property
-    def kinds(self) -> NDArray[np.int64]:
+    def kinds(self) -> Indices:
         """One row (is_SO3, stored offset, tangent offset, dim) per block."""
         return np.array(
             [
@@ -258,7 +256,7 @@ class Layout:
                 x[self._stored[block.name]] = np.eye(3).reshape(-1)
         return x
 
-    def gather(self, blocks: Iterable[Block]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def gather(self, blocks: Iterable[Block]) -> tuple[Indices, Indices]:
         """Indices of `blocks`, one after the other, in the stored and the tangent vector."""
         names = [block.name for block in blocks]
         stored = [np.arange(self.size)[self.stored(n)] for n in names]

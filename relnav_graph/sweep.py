@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
 from relnav_graph.errors import EstimationError
@@ -28,9 +28,6 @@ from relnav_graph.problem import Prior
 from relnav_graph.state import Layout
 
 __all__ = ["Anchor", "Conditionals", "System", "anchor_of", "linearize"]
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.state import Block, Layout
 
 __all__ = ["Innovations", "Kind", "Status", "Track", "Truth"]
 
-Array = NDArray[np.float64]
 Kind = Literal["filtered", "fixed-lag", "smoothed"]
 Status = Literal["ok", "degraded", "diverged"]
 
@@ -30,10 +29,10 @@ class Innovations:
 
     t: Array
     v: Array
-    offsets: NDArray[np.int64]
+    offsets: Indices
 
     @property
-    def rows(self) -> NDArray[np.int64]:
+    def rows(self) -> Indices:
         """Rows of each epoch (m,)."""
         return np.diff(self.offsets)
 

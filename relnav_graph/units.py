@@ -14,13 +14,11 @@ from functools import cache
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph.errors import InputError
 
 __all__ = ["Quantity", "check_fields", "convert", "parse_quantity", "unit_scale"]
 
-Array = NDArray[np.float64]
 
 # Symbol -> (scale to SI, exponents of base units). Angles are dimensional on purpose:
 # a rate in rad/s is not a frequency.

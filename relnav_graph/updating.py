@@ -6,9 +6,9 @@ Rows are whitened: the noise of the measurements is the unit matrix.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.loops import Tables, observe, rows_of
 from relnav_graph.matrices import (
@@ -36,9 +36,6 @@ __all__ = [
 #: Rounds of reweighting, at most; the first ones with a convex loss; and the change of a
 #: weight's root that ends them.
 ROUNDS, CONVEX_ROUNDS, WEIGHT_TOLERANCE = 40, 4, 1e-3
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @jit

@@ -11,19 +11,17 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 from toy_model import PositionFix, ThermalDrift
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph import graph
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import ModelError, RelnavError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.online import online
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Epoch, Prior, Problem, make_epochs
-
-Array = NDArray[np.float64]
 
 
 @jit

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.state import Block
 
-Array = NDArray[np.float64]
 Draw = Callable[[np.random.Generator, str], tuple[Array, ...]]
 
 #: near: attitudes near the identity, short intervals, small residuals; moderate; large:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from draws import PLACES, Draw, draw_block, draw_blocks
-from numpy.typing import NDArray
 
 from factors.accelerometer_bias import AccelerometerBias
 from factors.attitude_odometry import AttitudeOdometry
@@ -41,9 +40,8 @@ from factors.star_tracker import StarTracker
 from factors.stereo_point import StereoPoint, StereoPointCartesian
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.orbit import KeplerOrbit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.state import Layout
-
-Array = NDArray[np.float64]
 
 
 def steps_for(jacobian: Array, inputs: Array, outputs: Array) -> Array:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from toy_model import DriftingRange, PositionFix, ThermalDrift
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_graph.arrays import Array
 from relnav_graph.cli import main
 from relnav_graph.loop import Flown
 from relnav_graph.models import Measurement
@@ -19,7 +19,6 @@ from relnav_graph.problem import Prior, Problem, make_epochs
 from relnav_graph.state import Layout
 from relnav_graph.track import Track, Truth
 
-Array = NDArray[np.float64]
 ESTIMATORS = ("ekf", "iekf", "rts", "batch", "isam2")
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 ZHANG = EXPERIMENTS / "zhang2015.toml"

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.commands.stream import new_session
 from relnav_graph.io.lines import header_of, recording_lines
 from relnav_graph.scenario import Scenario, load_scenario
@@ -112,7 +112,7 @@ def reasons(out: list[dict[str, Any]]) -> list[tuple[str | None, str]]:
     return [(r["sensor"], r["reason"].partition(":")[0]) for line in out for r in line["rejected"]]
 
 
-def values_of(line: dict[str, Any]) -> NDArray[np.float64]:
+def values_of(line: dict[str, Any]) -> Array:
     """All numbers of an estimate, sigmas included."""
     return np.concatenate([[*s["value"], *s["sigma"]] for s in line["estimate"].values()])
 

@@ -7,14 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import ESTIMATORS, LINEAR_PRIOR, R_FIX, linear_problem, sigmas
 
+from relnav_graph.arrays import Array
 from relnav_graph.estimators import run_estimator
 from relnav_graph.problem import Problem
 from relnav_graph.track import Track
-
-Array = NDArray[np.float64]
 
 
 def _model(dt: float, q: float) -> tuple[Array, Array]:

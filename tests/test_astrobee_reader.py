@@ -12,20 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 from examples import HU_INERTIA
-from numpy.typing import NDArray
 from passes import EXPERIMENTS
 
 from factors.pose_odometry import PoseOdometry
 from factors.relative_pose import TargetRateInChaser
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.cli import main
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import read_raw
 from relnav_graph.io.readers.astrobee_tumble import authors_rate
 from relnav_graph.recording import Recording
 from relnav_graph.sim.inertial import inertia_parameters
-
-Array = NDArray[np.float64]
 
 START, COUNT = 40.0, 12
 RATE = np.array([0.05, -0.06, 0.04])  # of the target, in world axes

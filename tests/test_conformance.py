@@ -18,17 +18,15 @@ import pytest
 from draws import REGIMES, draw_block, scale_of
 from examples import EXAMPLES, DerivedExample, DynamicsExample, SensorExample
 from numeric import assert_jacobian, blocks_of, differences, steps_for
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.models import ENTRY_POINTS, Derived, Dynamics, Measurement, Sensor
 from relnav_graph.problem import check_covariance
 from relnav_graph.registry import classes
 from relnav_graph.state import Block, Layout
 from relnav_graph.units import Quantity
-
-Array = NDArray[np.float64]
 
 MODELS = classes(ENTRY_POINTS)
 STATES = 34  # of each regime and model, so that each sees more than a hundred

@@ -15,15 +15,12 @@ import numpy as np
 import pytest
 from draws import REGIMES, draw_block, scale_of
 from numeric import assert_jacobian, blocks_of, differences, steps_for
-from numpy.typing import NDArray
 from test_conformance import DYNAMICS, seed_of, sizes, states_of
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.problem import check_covariance
 from relnav_graph.state import Layout
-
-Array = NDArray[np.float64]
-
 
 #: A copy of another epoch is no flow: its intervals do not compose.
 FLOWS = [name for name, example in DYNAMICS.items() if example.flow]

@@ -18,20 +18,18 @@ import pytest
 from draws import REGIMES
 from examples import BEACONS, MOUNTED
 from numeric import assert_jacobian, differences, steps_for
-from numpy.typing import NDArray
 from test_conformance import DYNAMICS, SENSORS, looks, seed_of, sizes
 from test_conformance_dynamics import Interval, intervals, layout_of, transition
 
 from factors.stereo_point import StereoPointCartesian
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.graph import insert_block, measurement_factor, process_factor, read_block
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Epoch
 from relnav_graph.state import Block, Layout
-
-Array = NDArray[np.float64]
 
 #: A block that no model knows: nothing may leak into its columns.
 STRANGER = Block("stranger", "s", "SO3", 3, "rad", "ab", "deg")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import ZHANG, differences, stored
 from scipy.special import chdtri
 
+from relnav_graph.arrays import Array
 from relnav_graph.estimators import run_estimator
 from relnav_graph.scenario import Scenario, load_scenario
 
-Array = NDArray[np.float64]
 RUNS = 16
 
 

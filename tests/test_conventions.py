@@ -15,7 +15,6 @@ import gtsam
 import numpy as np
 import pytest
 from examples import BEACONS, EXAMPLES, LOW, MOUNTED, SensorExample, gyro_model
-from numpy.typing import NDArray
 
 import factors
 import relnav_graph
@@ -48,7 +47,6 @@ from relnav_graph.state import (
 )
 from relnav_graph.units import Quantity, parse_quantity
 
-Array = NDArray[np.float64]
 Test = Callable[..., None]
 
 DEG = np.pi / 180

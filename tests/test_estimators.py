@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import (
     ESTIMATORS,
     FIX,
@@ -31,6 +30,7 @@ from toy_model import RANGE_DRIFT, PositionFix
 from factors.gyro_bias import GyroBias
 from factors.stereo_point import StereoPoint
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import jit
 from relnav_graph.errors import GeometryError
@@ -43,7 +43,6 @@ from relnav_graph.scenario import load_scenario
 from relnav_graph.state import Block
 from relnav_graph.track import Track
 
-Array = NDArray[np.float64]
 GATE = 1 - 1e-6
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import ESTIMATORS, differences, sigmas, stored
 from scipy.special import chdtri
 from toy_model import RANGE_DRIFT, DriftingRange, ThermalDrift
 
+from relnav_graph.arrays import Array
 from relnav_graph.cli import main
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.estimators import run_estimator
@@ -21,8 +21,6 @@ from relnav_graph.recording import Recording
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.state import Layout
 from relnav_graph.track import Track, Truth
-
-Array = NDArray[np.float64]
 
 SCENARIO = """
 title = "a laser ranger that drifts with its temperature"

@@ -7,9 +7,9 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import PROCESSES, ZHANG, differences, sigmas, toy_measurements, toy_problem
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.chain import epoch_factor, interval_factor
 from relnav_graph.errors import RelnavError
@@ -20,7 +20,6 @@ from relnav_graph.problem import Epoch, Problem, make_epochs
 from relnav_graph.scenario import load_scenario
 from relnav_graph.sweep import anchor_of
 
-Array = NDArray[np.float64]
 WINDOW = 6.0
 
 

@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import EXPERIMENTS, relnav
 
 from factors.relative_two_body import RelativeTwoBody
+from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import read_raw
 
-Array = NDArray[np.float64]
 GRACE = EXPERIMENTS / "grace_fo.toml"
 EPOCHS, STEP, RADIUS, BEHIND = 40, 10.0, 6.87e6, 2.05e5
 RATE = float(np.sqrt(MU_EARTH / RADIUS**3))

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
 from factors._gravity import earth_field, gravity_difference, zonal_gravity
 from factors.orbit_two_body import OrbitTwoBody
 from factors.relative_two_body import RelativeTwoBody
+from relnav_graph.arrays import Array
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.orbit import two_body
-
-Array = NDArray[np.float64]
 
 PLACE = np.array([2.1e6, -5.3e6, 4.4e6])
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from examples import HU_INERTIA
-from numpy.typing import NDArray
 from passes import EXPERIMENTS
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -14,6 +13,7 @@ from factors._inertia import inertia_matrix
 from factors.euler_rotation import EulerRotation
 from factors.inertia_ratios import InertiaMatrixRatios
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.bounds import bounds
 from relnav_graph.errors import InputError
 from relnav_graph.explain import explain
@@ -21,8 +21,6 @@ from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import load_scenario
 from relnav_graph.sim.inertial import inertia_parameters
 from relnav_graph.state import TRACELESS
-
-Array = NDArray[np.float64]
 
 HU = EXPERIMENTS / "hu2019.toml"
 HU_RATE = np.array([0.2, 0.05, 0.05])

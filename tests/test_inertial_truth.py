@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from examples import HU_INERTIA
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.sim.inertial import InertialPair, TumblingBody
 from relnav_graph.sim.truth import RigidBodyPair
 from relnav_graph.track import Truth
-
-Array = NDArray[np.float64]
 
 BODY = TumblingBody(
     target_inertia=HU_INERTIA,

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import EXPERIMENTS, relnav, truth_of
 
 from factors.relative_attitude import VisionAttitude
@@ -26,7 +25,6 @@ from relnav_graph.scenario import Scenario, load_scenario, make_scenario, read_t
 from relnav_graph.state import CHASER_ATTITUDE
 from relnav_graph.track import Track, Truth
 
-Array = NDArray[np.float64]
 THIENEL = EXPERIMENTS / "thienel2006.toml"
 #: The published loop in ten minutes, with the better noise from 200 s on.
 SHORT = (

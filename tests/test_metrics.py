@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.deviation import chi2_band, nees
 from relnav_graph.errors import InputError
 from relnav_graph.metrics import (
@@ -34,7 +34,6 @@ from relnav_graph.state import (
 )
 from relnav_graph.track import Track, Truth
 
-Array = NDArray[np.float64]
 LAYOUT = Layout([RELATIVE_POSITION, TARGET_ATTITUDE])
 DEGREE = np.pi / 180
 

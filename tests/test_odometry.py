@@ -7,16 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import differences, sigmas, stored
 from passes_odometry import ODOMETRY, odometry_scenario
 from scipy.special import chdtri
 
+from relnav_graph.arrays import Array
 from relnav_graph.estimators import run_estimator
 from relnav_graph.scenario import Scenario
 from relnav_graph.track import Track
-
-Array = NDArray[np.float64]
 
 
 @cache

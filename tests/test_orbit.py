@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.frames import rtn_from_inertial, xiong_from_rtn
@@ -22,8 +22,6 @@ from relnav_graph.orbit import (
     stumpff,
     two_body,
 )
-
-Array = NDArray[np.float64]
 
 ORBITS = {
     "circular": KeplerOrbit(7.0e6, 0.0, 0.4),

@@ -7,18 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 from examples import gyro_model
-from numpy.typing import NDArray
 
 from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
 from factors.euler_rotation import EulerRotation
 from factors.inertia_ratios import InertiaRatios
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.orbit import KeplerOrbit, chief_motion, frame_rotation, relative_transition
 from relnav_graph.sim.truth import RigidBodyPair
-
-Array = NDArray[np.float64]
 
 DEG = np.pi / 180
 #: Principal moments, kg m^2, with the intermediate axis in the middle; and a tumble that

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import EXPERIMENTS
 from scipy.integrate import solve_ivp
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.loop import fly_all
@@ -20,7 +20,6 @@ from relnav_graph.sim.powered_dynamics import gravity
 from relnav_graph.sim.powered_orbits import PoweredOrbits
 from relnav_graph.sim.rendezvous import Rendezvous
 
-Array = NDArray[np.float64]
 YANG = EXPERIMENTS / "yang2016.toml"
 QUIET = PoweredOrbits(
     semi_major_axis=6.878e6,

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import ZHANG, differences, sigmas
 
 from relnav_graph import graph
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import Solution, solve
@@ -22,8 +22,6 @@ from relnav_graph.estimators.rts import smooth
 from relnav_graph.problem import Problem
 from relnav_graph.scenario import load_scenario
 from relnav_graph.state import Block
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

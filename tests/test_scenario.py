@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import EXPERIMENTS, ZHANG
 from scipy.special import chdtri
 
@@ -20,7 +19,6 @@ from relnav_graph.errors import InputError
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario
 from relnav_graph.settings import ScenarioError, override
 
-Array = NDArray[np.float64]
 DEGREE = math.pi / 180
 
 # --- files that are wrong ----------------------------------------------------------------------

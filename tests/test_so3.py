@@ -5,11 +5,9 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relnav_graph import so3
-
-Array = NDArray[np.float64]
+from relnav_graph.arrays import Array
 
 ANGLES = [0.0, 1e-12, 1e-9, 1e-4, 0.2999, 0.3001, 1.0, 3.0, np.pi - 1e-6]
 AXES = np.array([[1.0, 0, 0], [0, -1, 0], [1 / 3, 2 / 3, -2 / 3], [-0.6, 0.0, 0.8]])

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.io import loadmat, savemat
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import READERS, read_raw
 from relnav_graph.recording import Recording
 
-Array = NDArray[np.float64]
 FRAMES, POINTS = 40, 7
 
 

@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from factors._strapdown import condense
 from factors.gyro_bias import GyroBias
 from factors.inertial_orbit_motion import InertialOrbitMotion
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.sim.strapdown import StrapdownAccelerometer, StrapdownGyro
 
-Array = NDArray[np.float64]
 MODEL = InertialOrbitMotion(velocity_random_walk_density=5e-4)
 X = (np.array([6.878e6, 1e5, -2e5]), np.array([100.0, 6e3, 4.5e3]))
 R_IC, B_G, B_F = so3.exp(np.array([0.4, -1.0, 0.7])), np.full(3, 2e-5), np.full(3, 1e-3)

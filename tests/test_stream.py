@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import ZHANG, relnav
 from streams import (
     RELNAV,
@@ -32,7 +31,6 @@ from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.streaming.session import Options
 
-Array = NDArray[np.float64]
 Capture = pytest.CaptureFixture[str]
 Toy = tuple[Scenario, list[str]]
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import ZHANG, linear_problem, toy_measurements, toy_problem
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.chain import chain_factors, chain_rows
 from relnav_graph.components import estimate_factors, noise_residuals
@@ -22,7 +22,6 @@ from relnav_graph.study.summary import summarize
 from relnav_graph.study.verdict import verdict
 from relnav_graph.sweep import anchor_of
 
-Array = NDArray[np.float64]
 GYRO = "processes.chaser.angle_random_walk_density"
 
 

@@ -27,15 +27,13 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.models import DynamicsModel, Measurement, SensorModel
 from relnav_graph.state import RELATIVE_POSITION, Block
 from relnav_graph.units import Quantity
-
-Array = NDArray[np.float64]
 
 # 1. A state of its own. Blocks that many models share stand in `relnav_graph.state`; any
 # other is declared where it is used. The name is what scenarios ([prior]) and tables say.
@@ -107,7 +105,7 @@ class PositionFix(SensorModel):
     def reads(self) -> tuple[Block, ...]:
         return (RELATIVE_POSITION,)
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Positions (k, 3), m."""
         return np.tile(x[0], (len(ids), 1))
 
@@ -158,11 +156,11 @@ class DriftingRange(SensorModel):
     def reads(self) -> tuple[Block, ...]:
         return RELATIVE_POSITION, RANGE_DRIFT
 
-    def observables(self) -> NDArray[np.int64]:
+    def observables(self) -> Indices:
         """A simulated ranger looks for every reflector."""
         return np.arange(len(self.points))
 
-    def observation_data(self, ids: NDArray[np.int64]) -> Array:
+    def observation_data(self, ids: Indices) -> Array:
         """q of the kernel for each observation (k, 3)."""
         bad = (ids < 0) | (ids >= len(self.points))
         if bad.any():
@@ -170,7 +168,7 @@ class DriftingRange(SensorModel):
             raise InputError(f"{self.kind}: found id {ids[bad][0]}, expected 0 to {last}")
         return np.ascontiguousarray(self.points[ids])
 
-    def predict(self, ids: NDArray[np.int64], *x: Array) -> Array:
+    def predict(self, ids: Indices, *x: Array) -> Array:
         """Ranges (k, 1), m, without noise: what the simulator starts from."""
         r_tc_o, drift = x
         out = np.empty((len(ids), 1))

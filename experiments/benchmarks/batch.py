@@ -7,18 +7,16 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded
 
 from relnav_graph import graph
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.estimators.batch import Batch, solve
 from relnav_graph.estimators.ekf import KalmanFilter
 from relnav_graph.sweep import anchor_of, linearize
 
 from .passes import SAME, Pass, ratio, seconds
-
-Array = NDArray[np.float64]
 
 
 def floor_of(epochs: int, n: int) -> Callable[[], object]:

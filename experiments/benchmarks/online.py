@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.estimators.isam2 import IncrementalSmoother
 from relnav_graph.estimators.online import online
@@ -19,9 +19,6 @@ from relnav_graph.problem import Problem
 
 from .batch import key_of, typed_factors, typed_values
 from .passes import Pass, seconds
-
-Array = NDArray[np.float64]
-
 
 #: One step of an estimator, which gives the newest estimate (size,); k: the epoch.
 Step = Callable[[int], Array]

@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import bsr_array, csc_array, csr_array, vstack
 from scipy.sparse.linalg import LinearOperator, splu
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import MeasurementRows, ProcessRows
 from relnav_graph.estimators.ekf import KalmanFilter
 from relnav_graph.estimators.rts import smooth
@@ -22,8 +22,6 @@ from relnav_graph.sweep import anchor_of, linearize
 
 from .batch import solve_ours
 from .passes import SAME, Pass, seconds
-
-Array = NDArray[np.float64]
 
 
 class Tangent:

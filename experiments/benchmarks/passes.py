@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
@@ -25,7 +25,6 @@ from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.sim import Timing, measure, stream
 from relnav_graph.track import Truth
 
-Array = NDArray[np.float64]
 SCENARIO = Path(__file__).parents[1] / "zhang2015_close.toml"
 #: What "the same optimum" means, in sigmas of every state.
 SAME = 1e-6

@@ -6,9 +6,8 @@ import json
 from pathlib import Path
 
 import click
-import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.bounds import true_trajectory
 from relnav_graph.commands import Pass, open_pass, show_progress
 from relnav_graph.errors import InputError
@@ -17,7 +16,7 @@ from relnav_graph.models import derived_quantities
 from relnav_graph.problem import Problem
 
 
-def _nominal(run: Pass, problem: Problem) -> NDArray[np.float64]:
+def _nominal(run: Pass, problem: Problem) -> Array:
     """The truth; of recorded data without one, the batch estimate."""
     try:
         return true_trajectory(problem, run.recording.truth)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass, judge
@@ -39,8 +39,6 @@ ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
 
 __all__ = ["UNSOLVED", "Batch", "Solution", "at_rounding", "solve"]
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -53,7 +51,7 @@ class Solution:
     x: Array
     conditionals: Conditionals
     cost: float
-    status: NDArray[np.int64]
+    status: Indices
     weights: Array
     distance: float
     iterations: int

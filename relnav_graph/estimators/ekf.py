@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.gating import (
@@ -25,8 +25,6 @@ from relnav_graph.problem import Epoch, Problem
 from relnav_graph.track import Innovations, Status, Track
 
 __all__ = ["Ekf", "FilterPass", "IteratedEkf", "KalmanFilter", "filter_pass"]
-
-Array = NDArray[np.float64]
 
 
 #: Gauss-Newton steps of an iterated update, at most; the same wherever one is made.
@@ -53,7 +51,7 @@ class FilterPass:
     P: Array
     weights: Array
     nis: Array
-    used: NDArray[np.int64]
+    used: Indices
     reached: int = 0
     stopped: str = ""
 
@@ -181,7 +179,7 @@ class KalmanFilter:
         return replace(out, reached=reached, stopped=_why(assembly, failure))
 
 
-def _why(assembly: Assembly, failure: NDArray[np.int64]) -> str:
+def _why(assembly: Assembly, failure: Indices) -> str:
     """Why a filter stopped, or "". Raises ModelError when a kernel broke its contract."""
     stage, which, status, k = (int(v) for v in failure)
     if not stage:

@@ -6,17 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.estimators.ekf import FilterPass
 from relnav_graph.estimators.health import Health
 from relnav_graph.problem import Epoch
 
 __all__ = ["Engine", "EngineState", "Estimate", "Refusal"]
-
-Array = NDArray[np.float64]
 
 
 class EngineState(Protocol):

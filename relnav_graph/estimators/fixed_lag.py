@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
@@ -45,7 +45,6 @@ from relnav_graph.track import Status, Track
 
 __all__ = ["FixedLag", "FixedLagEngine"]
 
-Array = NDArray[np.float64]
 #: Length of the window where the problem gives none: so many epochs.
 EPOCHS = 30
 #: How far an estimate may be from where it is linearised: in sigmas of what was known of it

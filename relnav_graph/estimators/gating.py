@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly, MeasurementRows
 from relnav_graph.loops import ROWS
 from relnav_graph.robust import Loss, root_weights
@@ -21,8 +21,6 @@ __all__ = [
     "residual_weights",
     "thresholds",
 ]
-
-Array = NDArray[np.float64]
 
 
 def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:

@@ -13,16 +13,15 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from relnav_graph.arrays import Array
 from relnav_graph.estimators.ekf import TRUSTED, FilterPass
 from relnav_graph.models import Sensor
 from relnav_graph.problem import Epoch, Problem
 
 __all__ = ["Health", "Monitor", "caution"]
 
-Array = NDArray[np.float64]
 Health = Literal["OK", "DEGRADED", "LOST"]
 
 #: Weight of the newest sample in the averages: they remember about 1 / WEIGHT samples.

@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly, process_rows
 from relnav_graph.chain import epoch_factor, interval_factor
 from relnav_graph.errors import EstimationError
@@ -34,7 +34,6 @@ from relnav_graph.track import Status, Track
 
 __all__ = ["IncrementalSmoother", "Isam2"]
 
-Array = NDArray[np.float64]
 #: Epochs in the Bayes tree, at most: GTSAM's bookkeeping after each update grows with them.
 WINDOW = 100
 

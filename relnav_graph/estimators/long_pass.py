@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import chain, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import at_rounding
@@ -26,8 +26,6 @@ from relnav_graph.sweep import Anchor, Conditionals, System, anchor_of, lineariz
 from relnav_graph.track import Track
 
 __all__ = ["smooth_long_pass"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError, InputError, LateError, ModelError, RelnavError
 from relnav_graph.estimators import GROUP
@@ -49,7 +49,6 @@ from relnav_graph.state import Layout
 
 __all__ = ["Engine", "EngineState", "Estimate", "Online", "Refusal", "online"]
 
-Array = NDArray[np.float64]
 
 #: Epochs of the window where the problem gives it no length of time.
 DEFAULT_EPOCHS = 30

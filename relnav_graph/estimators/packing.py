@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.models import Dynamics, Measurement
 from relnav_graph.problem import SAME_TIME, Epoch
 
 __all__ = ["held", "merged", "pack", "under", "unpack", "without_repeats"]
 
-Array = NDArray[np.float64]
 #: What was left out: sensor, time, ids.
 Repeats = list[tuple[str, float, tuple[int, ...]]]
 

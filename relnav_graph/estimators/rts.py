@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.backward import backward
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
@@ -17,8 +17,6 @@ from relnav_graph.problem import Problem
 from relnav_graph.track import Track
 
 __all__ = ["Rts", "smooth"]
-
-Array = NDArray[np.float64]
 
 
 def smooth(done: FilterPass, covariances: bool = True) -> tuple[Array, Array]:

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.problem import Epoch, Problem
 
 __all__ = ["Recorded", "Source"]
-
-Array = NDArray[np.float64]
 
 
 class Source(Protocol):

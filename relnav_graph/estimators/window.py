@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import FilterPass
@@ -16,8 +16,6 @@ from relnav_graph.state import Layout
 from relnav_graph.sweep import Anchor, Conditionals, linearize
 
 __all__ = ["Chain", "Left", "Window", "joined", "linearized"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

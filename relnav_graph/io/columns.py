@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
 from relnav_graph.state import Block
 
@@ -30,7 +31,6 @@ __all__ = [
     "write_table",
 ]
 
-Array = NDArray[np.float64]
 Format = Literal["csv", "parquet"]
 
 
@@ -66,7 +66,7 @@ class Table:
 
     path: Path
     columns: Mapping[str, Array]
-    lines: NDArray[np.int64]
+    lines: Indices
 
     def __getitem__(self, column: str) -> Array:
         return self.columns[column]

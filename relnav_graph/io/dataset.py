@@ -30,6 +30,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from relnav_graph import __version__
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.columns import (
@@ -56,7 +57,6 @@ __all__ = [
     "write_dataset",
 ]
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
 
 _FORMAT = 1

@@ -50,10 +50,10 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.columns import from_components, to_components
 from relnav_graph.models import Derived, Measurement, Sensor
@@ -77,7 +77,6 @@ __all__ = [
     "recording_lines",
 ]
 
-Array = NDArray[np.float64]
 FORMAT, VERSION = "relnav-lines", 1
 #: A longer line is refused unread: nothing that a sensor sees at one time fills it.
 LONGEST = 1 << 20

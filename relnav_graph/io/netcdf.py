@@ -16,8 +16,8 @@ from typing import Any
 import h5netcdf
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 
@@ -31,7 +31,7 @@ class Variable:
     """An array of numbers, one name per axis, and its attributes."""
 
     dimensions: tuple[str, ...]
-    values: NDArray[np.float64]
+    values: Array
     attributes: Attributes
 
 

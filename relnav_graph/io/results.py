@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import __version__
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.columns import component_columns, from_components, to_components, write_table
@@ -28,7 +28,6 @@ from relnav_graph.track import Track, Truth
 
 __all__ = ["read_results", "write_csv", "write_results"]
 
-Array = NDArray[np.float64]
 
 _FORMAT = "relnav-graph results"
 _VERSION = 1

@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatterSciNotation
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.deviation import chi2_band
 from relnav_graph.models import derived_quantities
 from relnav_graph.plots import STYLE, WIDTH, row_styles, symbol
@@ -30,7 +30,6 @@ from relnav_graph.track import Kind
 
 __all__ = ["RunFigures", "plain"]
 
-Array = NDArray[np.float64]
 KINDS: tuple[Kind, ...] = ("filtered", "fixed-lag", "smoothed")
 #: Runs whose numbers are joined by a line from row to row: more would be mud.
 _JOINED = 100

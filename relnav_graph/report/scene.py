@@ -10,8 +10,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.deviation import StateEstimates, estimates, finite
 from relnav_graph.metrics import with_smoothed
 from relnav_graph.models import derived_quantities
@@ -21,7 +21,6 @@ from relnav_graph.state import RELATIVE_POSITION, RELATIVE_POSITION_T, TARGET_AT
 
 __all__ = ["Scene", "make_scene"]
 
-Array = NDArray[np.float64]
 _POINTS, _ELLIPSOIDS, _FRAMES = 600, 14, 60
 #: Part of the pass whose ellipsoids are left out: filters still converge.
 _TRANSIENT = 0.1
@@ -120,7 +119,7 @@ def _target(R: Array, box: Array, points: Array | None, reach: float) -> list[di
     return [_xyz(part @ R.T) for part in (box, shown, *axes)]
 
 
-def _sphere(n: int = 10) -> tuple[Array, NDArray[np.int64]]:
+def _sphere(n: int = 10) -> tuple[Array, Indices]:
     """Unit vectors (m, 3) and triangles of a sphere."""
     u, v = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n), indexing="ij")
     grid = np.stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)], axis=-1)
@@ -228,7 +227,7 @@ def _paths(
     path: Array,
     true: bool,
     scale: float,
-    k: NDArray[np.int64],
+    k: Indices,
 ) -> list[dict[str, Any]]:
     """The true path, and the estimates with their ellipsoids, errors drawn larger."""
     kinds = {n: track.kind for n, track in with_smoothed(content.tracks).items()}

@@ -17,7 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from relnav_graph.arrays import Array
 
 __all__ = ["zoomable"]
 
@@ -62,7 +64,7 @@ def _line_style(line: Line2D) -> dict[str, Any]:
     return {"mode": "lines", "line": {"color": colour, "width": width, "dash": _dash(line)}}
 
 
-def _thinned(x: ArrayLike, y: ArrayLike) -> tuple[dict[str, Any], NDArray[np.float64]]:
+def _thinned(x: ArrayLike, y: ArrayLike) -> tuple[dict[str, Any], Array]:
     """At most so many points; times that are evenly spaced as start and step."""
     t, values = (np.asarray(v, dtype=np.float64) for v in (x, y))
     step = max(1, -(-len(t) // _POINTS))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.models import Dynamics, Measurement, Sensor
 from relnav_graph.problem import InputSeries, layout_of
@@ -20,7 +20,6 @@ from relnav_graph.track import Truth
 
 __all__ = ["GROUP", "TruthModel", "simulate", "stream"]
 
-Array = NDArray[np.float64]
 GROUP = "relnav_graph.truths"
 Law = Literal["gaussian", "random_direction"]
 
@@ -68,9 +67,7 @@ class Timing:
         return abs(cycles - round(cycles)) < 1e-6
 
 
-def _seen(
-    sensor: Sensor, ids: NDArray[np.int64], x: Sequence[Array]
-) -> tuple[NDArray[np.int64], Array]:
+def _seen(sensor: Sensor, ids: Indices, x: Sequence[Array]) -> tuple[Indices, Array]:
     """Those of the ids that can be seen, and what they give without noise."""
     try:
         return ids, sensor.predict(ids, *x)

@@ -7,15 +7,14 @@ q_it as q_wxyz (0:4) and w_ti_t (4:7), of the chaser the same (7:14).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import MATRIX, VECTOR, jit, jit_as
 from relnav_graph.constants import MU_EARTH
 
 __all__ = ["BODY", "ORBIT", "advance", "circular_orbit", "gravity_gradient"]
 
-Array = NDArray[np.float64]
 
 #: Numbers of an orbit: radius (m), rate (rad/s), unit vectors in i at t = 0: radial out (3)
 #: and transverse (3); density of the air times drag coefficient (kg/m^3).

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.sim.attitude_dynamics import circular_orbit, gravity_gradient
 from relnav_graph.sim.controlled_bodies import check_inertia
@@ -19,7 +19,6 @@ from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["AttitudeTracking"]
 
-Array = NDArray[np.float64]
 CONTROL_ATTITUDE = Block("control_attitude", "R_tc", "SO3", 3, "rad", "tc", "deg")
 CONTROL_RATE = Block("control_rate", "w_ct_c", "vector", 3, "rad/s", "c", "deg/s")
 

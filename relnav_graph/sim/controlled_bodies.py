@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.sim.attitude_dynamics import advance, circular_orbit
 from relnav_graph.sim.truth import checked_times
@@ -17,8 +17,6 @@ from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["ControlledBodies"]
-
-Array = NDArray[np.float64]
 
 
 def _zeros() -> Array:

@@ -11,13 +11,11 @@ from collections.abc import Mapping
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.state import Block
 
 __all__ = ["ControlledTruth", "Controller", "Flight"]
-
-Array = NDArray[np.float64]
 
 
 class Flight(Protocol):

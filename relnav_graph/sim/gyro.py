@@ -9,15 +9,13 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.problem import InputSeries
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["RateIntegratingGyro"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
@@ -23,7 +23,6 @@ from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["InertialPair", "TumblingBody", "inertia_parameters"]
 
-Array = NDArray[np.float64]
 #: Position and velocity of a body whose orbit does not matter.
 _ANYWHERE = np.array([7e6, 0.0, 0.0, 0.0, 7.5e3, 0.0, *[0.0] * 6])
 

@@ -8,13 +8,12 @@ d_tc_i position of the chaser minus that of the target (6:9), its inertial deriv
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import INDICES, MATRIX, VECTOR, jit, jit_as
 
 __all__ = ["STATE_SIZE", "integrate"]
 
-Array = NDArray[np.float64]
 
 STATE_SIZE = 19
 
@@ -97,7 +96,7 @@ def _step(mu: float, inertia: Array, disturbance: Array, h: float, y: Array, k: 
 
 @jit_as(VECTOR, VECTOR, INDICES, VECTOR, MATRIX, MATRIX, ahead=False)
 def integrate(
-    p: Array, y0: Array, counts: NDArray[np.int64], h: Array, disturbance: Array, out: Array
+    p: Array, y0: Array, counts: Indices, h: Array, disturbance: Array, out: Array
 ) -> None:
     """The state after each of N intervals, by a fixed-step Runge-Kutta method of order 6.
 

@@ -6,15 +6,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.problem import SAME_TIME, InputSeries
 from relnav_graph.sim.own_models import ConstantInput
 
 __all__ = ["IntervalInputs"]
-
-Array = NDArray[np.float64]
 
 
 class IntervalInputs:

@@ -12,8 +12,8 @@ from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.models import Dynamics
 from relnav_graph.problem import InputSeries, process_inputs
@@ -22,8 +22,6 @@ from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["ConstantInput", "OwnModels"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,14 @@ integrator is Kutta's 3/8 rule.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 
 __all__ = ["fly_orbits", "gravity", "sample_attitude"]
 
-Array = NDArray[np.float64]
 _J2, _J3, _J4 = ZONAL_EARTH
 
 

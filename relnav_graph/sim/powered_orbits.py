@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.sim.powered_dynamics import fly_orbits, sample_attitude, wobbled
 from relnav_graph.sim.truth import OrbitElements, checked_times
@@ -17,8 +17,6 @@ from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["PoweredFlight", "PoweredOrbits"]
-
-Array = NDArray[np.float64]
 
 
 def _zeros() -> Array:

@@ -8,17 +8,15 @@ from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_are
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.state import Block
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["Rendezvous"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

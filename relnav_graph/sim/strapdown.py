@@ -10,14 +10,12 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["ErrorSampler", "StrapdownAccelerometer", "StrapdownGyro"]
-
-Array = NDArray[np.float64]
 
 
 def _zeros() -> Array:

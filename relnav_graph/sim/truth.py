@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
@@ -20,8 +20,6 @@ from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["OrbitElements", "RigidBodyPair", "checked_times"]
-
-Array = NDArray[np.float64]
 
 
 def _zeros() -> Array:

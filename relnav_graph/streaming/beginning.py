@@ -10,16 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.estimators.packing import merged, pack, under, unpack
 from relnav_graph.initialise import FRAMES, decide, hypotheses
 from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
 
 __all__ = ["Beginning"]
-
-Array = NDArray[np.float64]
 
 
 class Beginning:

@@ -7,16 +7,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.lines import InputSample
 from relnav_graph.models import Dynamics, Measurement
 from relnav_graph.problem import SAME_TIME, InputSeries, process_inputs
 
 __all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
-
-Array = NDArray[np.float64]
 
 
 class InputBuffer:

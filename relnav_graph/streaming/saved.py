@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.io.lines import Header, InputSample, input_object, measurement_object
 from relnav_graph.models import Measurement
 from relnav_graph.streaming.buffers import WaitingEpoch
@@ -25,7 +25,6 @@ __all__ = [
     "waiting_in",
 ]
 
-Array = NDArray[np.float64]
 _OWN = "session"
 
 

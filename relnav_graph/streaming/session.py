@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators.online import Estimate, Online
 from relnav_graph.estimators.packing import under
@@ -38,7 +38,6 @@ from relnav_graph.streaming.options import PATIENCE, Options, Parsed
 
 __all__ = ["Options", "Parsed", "Session"]
 
-Array = NDArray[np.float64]
 Output = dict[str, Any]
 
 

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.study.record import Record
 from relnav_graph.track import Kind
 
 __all__ = ["Collected", "RowRuns", "collect"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.bounds import bounds, true_trajectory
 from relnav_graph.components import noise_residuals
 from relnav_graph.deviation import StateErrors, StateEstimates, deviations, estimates, joint, nees
@@ -29,7 +29,6 @@ from relnav_graph.track import Innovations, Track
 
 __all__ = ["BINS", "Record", "make_record"]
 
-Array = NDArray[np.float64]
 BINS = 100
 #: Runs in which the coupling of the noises is estimated: it hardly differs between runs.
 COUPLED_RUNS = 8
@@ -62,12 +61,12 @@ class Record:
             raise InputError(f"{where}: not a readable record of a run: {error}") from error
 
 
-def bin_edges(count: int) -> NDArray[np.int64]:
+def bin_edges(count: int) -> Indices:
     """First epoch of each bin, and the epoch after the last."""
     return np.linspace(0, count, min(count, BINS) + 1).round().astype(np.int64)
 
 
-def _binned(at: NDArray[np.int64], values: Array, count: int) -> Array:
+def _binned(at: Indices, values: Array, count: int) -> Array:
     """Means over bins of values (m, ...) at epochs `at`; NaN where a bin has none."""
     edges = bin_edges(count)
     where = np.searchsorted(edges, at, side="right") - 1

@@ -11,8 +11,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.deviation import chi2_band
 from relnav_graph.metrics import versions
 from relnav_graph.study.collect import Collected, RowRuns
@@ -20,7 +20,6 @@ from relnav_graph.study.runs import StudySpec
 
 __all__ = ["rmse_precision", "summarize"]
 
-Array = NDArray[np.float64]
 RESAMPLES = 1000
 
 

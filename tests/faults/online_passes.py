@@ -8,16 +8,15 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from passes import ZHANG, toy_measurements, toy_problem
 
+from relnav_graph.arrays import Array
 from relnav_graph.estimators.online import Estimate, Online, online
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.recording import Recording
 from relnav_graph.scenario import load_scenario
 from relnav_graph.state import Layout
 
-Array = NDArray[np.float64]
 KINDS = ("ekf", "iekf", "fixed_lag", "isam2")
 WINDOW = 12.0
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from online_passes import KINDS, driven, toy
 from passes import FIX, ONE_ID, PRIOR, PROCESSES
 
 from relnav_graph import sweep
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators import window
@@ -22,7 +22,6 @@ from relnav_graph.estimators.fixed_lag import FixedLagEngine
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Problem, make_epochs
 
-Array = NDArray[np.float64]
 STEPS, WINDOW = 20_000, 2.0
 
 

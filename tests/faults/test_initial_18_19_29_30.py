@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from online_passes import fresh, zhang
 from passes import differences, stored
 
 from factors.stereo_point import StereoPointCartesian
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.assembly import process_rows
 from relnav_graph.errors import EstimationError, ModelError
 from relnav_graph.estimators import run_estimator
@@ -22,7 +22,6 @@ from relnav_graph.problem import Prior, Problem
 from relnav_graph.state import Layout
 from relnav_graph.track import Truth
 
-Array = NDArray[np.float64]
 POSE = ("target_attitude", "relative_position")
 MEASURED = tuple(f'prior.{name}.mean="measured"' for name in POSE)
 

@@ -8,20 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from online_passes import KINDS, assert_same, driven, fresh, in_sigmas, snapshot, toy, zhang
 from passes import ONE_ID, PRIOR, RANGER, toy_measurements, toy_problem
 from toy_model import PositionFix
 
 from factors.beacon_los import BeaconLineOfSight
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.columns import component_columns, from_components, to_components
 from relnav_graph.problem import Prior
 from relnav_graph.state import CHASER_ATTITUDE
 from relnav_graph.track import Track
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("kind", KINDS)

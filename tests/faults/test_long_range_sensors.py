@@ -10,7 +10,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from online_passes import assert_same, driven, snapshot
 from passes import EXPERIMENTS, differences, stored
 from streams import changed, feed, lines_of, session_of
@@ -23,7 +22,6 @@ from relnav_graph.recording import Recording
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.track import Track
 
-Array = NDArray[np.float64]
 Change = Callable[[Measurement], Measurement | None]
 
 #: A sensor, its period in epochs, and the block that it alone tells.

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import ONE_ID, PRIOR, PROCESSES
 from test_broken_models import run_broken
 from toy_model import PositionFix, ThermalDrift
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import ModelError
 from relnav_graph.estimators.online import Estimate, Online, online
@@ -20,7 +20,6 @@ from relnav_graph.models import Measurement
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.streaming.session import Options, Session
 
-Array = NDArray[np.float64]
 KINDS = ("ekf", "iekf", "isam2", "fixed_lag")
 #: A measured x above this makes the models of this file raise.
 FAR = 100.0

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numeric import assert_jacobian, differences
-from numpy.typing import NDArray
 from online_passes import KINDS, assert_same, driven, fresh, snapshot, toy
 from passes import FIX, ONE_ID, PROCESSES, RANGER, SENSORS, toy_measurements, toy_problem
 from toy_model import RANGE_DRIFT, DriftingRange, PositionFix
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph import graph
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
@@ -24,9 +24,6 @@ from relnav_graph.models import DynamicsModel, Measurement
 from relnav_graph.problem import Prior, Problem, make_epochs
 from relnav_graph.robust import Loss
 from relnav_graph.state import RELATIVE_POSITION, Block
-
-Array = NDArray[np.float64]
-
 
 # --- a step that fails changes nothing ---------------------------------------------------------
 

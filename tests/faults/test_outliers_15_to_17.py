@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from online_passes import KINDS, driven, fresh, in_sigmas, zhang
 from passes import EXPERIMENTS, RANGER, ZHANG, differences, stored, toy_measurements, toy_problem
 
@@ -18,7 +17,6 @@ from relnav_graph.problem import Problem, make_epochs
 from relnav_graph.robust import Loss
 from relnav_graph.scenario import load_scenario
 
-Array = NDArray[np.float64]
 GATES = {"fix": 1 - 1e-6, "ranger": 1 - 1e-6}
 #: A step of three sigmas raises the alarm within so many samples; a drift of 0.2 sigmas a
 #: sample within the second number.

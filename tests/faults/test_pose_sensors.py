@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from passes import EXPERIMENTS, ONE_ID, differences, sigmas, stored
 from passes_odometry import odometry_scenario
 
@@ -23,7 +22,6 @@ from relnav_graph.recording import Recording
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.track import Track
 
-Array = NDArray[np.float64]
 Change = Callable[[Measurement], Measurement | None]
 
 GATED = 0.9999

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.source import Recorded, Source
@@ -19,8 +19,6 @@ from relnav_graph.state import TARGET_ATTITUDE, TARGET_RATE
 from relnav_graph.track import Status, Track
 
 __all__ = ["MomentumObserver"]
-
-Array = NDArray[np.float64]
 
 
 @jit

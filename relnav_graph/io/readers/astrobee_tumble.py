@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
 from relnav_graph.problem import InputSeries
@@ -32,7 +32,6 @@ from relnav_graph.track import Truth
 
 __all__ = ["authors_rate", "read"]
 
-Array = NDArray[np.float64]
 
 _PLACE = ("pose.position.x", "pose.position.y", "pose.position.z")
 _TURN = tuple(f"pose.orientation.{axis}" for axis in "wxyz")

@@ -15,15 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.recording import Recording
 from relnav_graph.track import Truth
 
 __all__ = ["read"]
 
-Array = NDArray[np.float64]
 
 _END = "end_of_header"
 #: What the header must say, by a part of it: the words that are accepted.

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from relnav_graph import so3
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
 from relnav_graph.problem import InputSeries
@@ -32,7 +32,6 @@ from relnav_graph.track import Truth
 
 __all__ = ["read"]
 
-Array = NDArray[np.float64]
 
 _CAMERA = ("fu", "fv", "cu", "cv", "b")
 
