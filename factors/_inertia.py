@@ -6,11 +6,11 @@ import numpy as np
 
 from relnav_graph import so3
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit, jit_wrapped
+from relnav_graph.compiled import jit
 from relnav_graph.state import TRACELESS
 
 
-@jit_wrapped
+@jit(from_python=True)
 def principal_ratios(k: Array) -> tuple[Array, Array]:
     """l = tanh(k_x, k_y, -(k_x + k_y)), (3,), and its Jacobian to (k_x, k_y), (3, 2)."""
     l, jacobian = np.empty(3), np.zeros((3, 2))

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import jit, jit_wrapped
+from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
@@ -17,7 +17,7 @@ from ._points import PointSensor, point_in_sensor
 from ._sphere import OPPOSITE, direction, sphere_residual, turned
 
 
-@jit_wrapped
+@jit(from_python=True)
 def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Array]:
     """Unit vector (3,) to a beacon in sensor axes, and its Jacobian to the pose."""
     p, jacobian = point_in_sensor(mounting, beacon_t, x)

@@ -9,7 +9,8 @@ import numpy as np
 
 from relnav_graph import so3
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import MATRIX, STACK, jit, jit_as
+from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled.contracts import MATRIX, STACK
 from relnav_graph.models import DerivedQuantity
 from relnav_graph.state import (
     BODY_RATE,
@@ -47,7 +48,7 @@ def position_in_target(R_ot: Array, r_tc_o: Array) -> tuple[Array, Array]:
     return r_tc_t, jacobian
 
 
-@jit_as(STACK, STACK, STACK, STACK)
+@jit_loop(STACK, STACK, STACK, STACK)
 def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -> None:
     """`relative_attitude` at N epochs, into the last two arguments."""
     for k in range(R_oc.shape[0]):
@@ -56,7 +57,7 @@ def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -
         so3.put(jacobian[k], 0, 0, slope, 1.0)
 
 
-@jit_as(STACK, MATRIX, MATRIX, STACK)
+@jit_loop(STACK, MATRIX, MATRIX, STACK)
 def positions_in_target(R_ot: Array, r_tc_o: Array, r_tc_t: Array, jacobian: Array) -> None:
     """`position_in_target` at N epochs, into the last two arguments."""
     for k in range(R_ot.shape[0]):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from relnav_graph import loops
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import dynamics_address, sensor_address
+from relnav_graph.compiled.contracts import dynamics_address, sensor_address
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.noise import inverse_cholesky, measurement_noise, raised, with_constraints

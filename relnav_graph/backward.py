@@ -7,7 +7,8 @@ from numba import types
 
 from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, jit_as
+from relnav_graph.compiled import jit_loop
+from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK
 from relnav_graph.filtering import NOT_POSITIVE
 from relnav_graph.matrices import (
     product,
@@ -22,7 +23,7 @@ from relnav_graph.updating import copy, to_tangent
 __all__ = ["backward"]
 
 
-@jit_as(INDEX_MATRIX, MATRIX, STACK, MATRIX, STACK, STACK, types.int64, MATRIX, STACK, INDICES)
+@jit_loop(INDEX_MATRIX, MATRIX, STACK, MATRIX, STACK, STACK, types.int64, MATRIX, STACK, INDICES)
 def backward(
     kinds: Indices,
     x: Array,

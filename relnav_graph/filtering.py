@@ -7,7 +7,8 @@ from numba import types
 
 from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
+from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
 from relnav_graph.loops import TABLES, Tables, observe, propagate, rows_of
 from relnav_graph.matrices import cholesky, sandwich, solve_lower
 from relnav_graph.robust import root_weight
@@ -66,7 +67,7 @@ def _finite(v: Array) -> bool:
     return finite
 
 
-@jit_as(
+@jit_loop(
     TABLES,
     *(INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX, types.int64, types.int64, types.int64),
     *(VECTOR, MATRIX, MATRIX, STACK, STACK, STACK),

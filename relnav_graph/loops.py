@@ -16,7 +16,8 @@ from numba import types
 
 from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import (
+from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled.contracts import (
     GUARD,
     INDEX_MATRIX,
     INDEX_STACK,
@@ -27,8 +28,6 @@ from relnav_graph.compiled import (
     VECTOR,
     call_dynamics,
     call_sensor,
-    jit,
-    jit_as,
 )
 from relnav_graph.matrices import product, scaled_cholesky, solve_lower
 from relnav_graph.state import local, times_jacobian, times_transposed_jacobian
@@ -252,13 +251,13 @@ def propagate(
     return -1, 0
 
 
-@jit_as(TABLES, MATRIX, VECTOR, VECTOR, MATRIX, INDICES)
+@jit_loop(TABLES, MATRIX, VECTOR, VECTOR, MATRIX, INDICES)
 def measure(tables: Tables, x: Array, weight: Array, r: Array, H: Array, status: Indices) -> None:
     """Fill the rows r, H of all observations of a pass at the states x (N, size)."""
     observe(tables, 0, tables.observations.shape[0], 0, x, weight, r, H, status)
 
 
-@jit_as(TABLES, MATRIX, MATRIX, STACK, STACK, INDICES)
+@jit_loop(TABLES, MATRIX, MATRIX, STACK, STACK, INDICES)
 def transition(
     tables: Tables, x: Array, x_next: Array, F: Array, Q: Array, failure: Indices
 ) -> None:
@@ -273,7 +272,7 @@ def transition(
             return
 
 
-@jit_as(TABLES, STACK, STACK, INDICES)
+@jit_loop(TABLES, STACK, STACK, INDICES)
 def whitening(tables: Tables, Q: Array, whiten: Array, failure: Indices) -> None:
     """Inverse Cholesky factors of the process noise Q (M, n, n), process by process.
 
@@ -316,7 +315,7 @@ def interval_row(
     product(left, F, A)
 
 
-@jit_as(MATRIX, MATRIX, STACK, STACK, INDEX_MATRIX, MATRIX, STACK, STACK)
+@jit_loop(MATRIX, MATRIX, STACK, STACK, INDEX_MATRIX, MATRIX, STACK, STACK)
 def interval_rows(
     x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
 ) -> None:

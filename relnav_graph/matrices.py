@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit, jit_columns, jit_vector
+from relnav_graph.compiled import jit
 
 __all__ = [
     "SPARE",
@@ -33,7 +33,7 @@ __all__ = [
 SPARE = 3
 
 
-@jit_columns
+@jit(vectorize="columns")
 def product(a: Array, b: Array, out: Array) -> None:
     """``out = a b``."""
     for i in range(a.shape[0]):
@@ -83,7 +83,7 @@ def symmetrize(P: Array) -> None:
             P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
 
 
-@jit_vector
+@jit(vectorize="loops")
 def cholesky(a: Array) -> bool:
     """Replace a symmetric matrix by its lower Cholesky factor; False unless it is positive
     definite."""
@@ -115,7 +115,7 @@ def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
     return cholesky(L)
 
 
-@jit_vector
+@jit(vectorize="loops")
 def solve_lower(L: Array, b: Array) -> None:
     """``b = L^-1 b`` for a lower triangular L."""
     for i in range(L.shape[0]):
@@ -129,7 +129,7 @@ def solve_lower(L: Array, b: Array) -> None:
             b[i, j] *= f
 
 
-@jit_vector
+@jit(vectorize="loops")
 def solve_lower_transposed(L: Array, b: Array) -> None:
     """``b = L^-T b`` for a lower triangular L."""
     for i in range(L.shape[0] - 1, -1, -1):
@@ -143,7 +143,7 @@ def solve_lower_transposed(L: Array, b: Array) -> None:
                     b[l, j] -= f * b[i, j]
 
 
-@jit_vector
+@jit(vectorize="loops")
 def inverse_upper(R: Array) -> Array:
     """Inverse of an upper triangular matrix."""
     n = R.shape[0]
@@ -159,7 +159,7 @@ def inverse_upper(R: Array) -> Array:
     return out
 
 
-@jit_columns
+@jit(vectorize="columns")
 def householder(a: Array, columns: int, below: int, rows: int, width: int) -> None:
     """Triangularise the first columns of ``a[:rows, :width]`` by reflections, in place.
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import GUARD, MARK
+from relnav_graph.compiled.contracts import GUARD, MARK
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.registry import classes
 from relnav_graph.state import Block, Layout
@@ -83,7 +83,7 @@ class Sensor(Protocol):
 
     @property
     def kernel(self) -> Kernel:
-        """Compiled function of the signature `relnav_graph.compiled.SENSOR_KERNEL`."""
+        """Compiled function of the signature `relnav_graph.compiled.contracts.SENSOR_KERNEL`."""
 
     @property
     def reads(self) -> tuple[Block, ...]:
@@ -138,7 +138,7 @@ class Dynamics(Protocol):
 
     @property
     def kernel(self) -> Kernel:
-        """Compiled function of the signature `relnav_graph.compiled.DYNAMICS_KERNEL`."""
+        """Compiled function of the signature `relnav_graph.compiled.contracts.DYNAMICS_KERNEL`."""
 
     @property
     def advances(self) -> tuple[Block, ...]:

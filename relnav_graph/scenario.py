@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from relnav_graph import models, sim
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import announce
+from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.initialise import initialise
 from relnav_graph.magnitude import wrong_unit
@@ -283,7 +283,7 @@ def make_scenario(
         _check_inputs(made["processes"], file, inputs, problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
-    announce(
+    compile_ahead(
         [model.kernel for model in made["sensors"].values()],
         [model.kernel for model in made["processes"].values()],
     )

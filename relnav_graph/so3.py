@@ -17,7 +17,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit, jit_wrapped
+from relnav_graph.compiled import jit
 from relnav_graph.matrices import product, sandwich
 
 # Below this angle the series of the coefficients, to the last digit kept, replace the
@@ -219,14 +219,14 @@ def _coefficients(t: float) -> tuple[float, float, float]:
     return np.sin(t) / t, 2 * half * half / s, (t - np.sin(t)) / (s * t)
 
 
-@jit_wrapped
+@jit(from_python=True)
 def exp(phi: Array) -> Array:
     """Rotation matrix (3, 3) of the rotation vector `phi` (3,) in rad (Rodrigues)."""
     a, b, _ = _coefficients(norm(phi))
     return _quadratic(phi, a, b)
 
 
-@jit_wrapped
+@jit(from_python=True)
 def quaternion(matrix: Array) -> Array:
     """Hamilton quaternion ``q_wxyz`` (4,), w >= 0, of a rotation matrix (Shepperd 1978)."""
     m = matrix
@@ -253,7 +253,7 @@ def quaternion(matrix: Array) -> Array:
     return q
 
 
-@jit_wrapped
+@jit(from_python=True)
 def from_quaternion(q_wxyz: Array) -> Array:
     """Rotation matrix of a Hamilton quaternion, scalar first; normalises it."""
     n = norm(q_wxyz)

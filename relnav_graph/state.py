@@ -17,7 +17,8 @@ import numpy as np
 
 from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import INDEX_MATRIX, MATRIX, jit, jit_as, jit_wrapped
+from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled.contracts import INDEX_MATRIX, MATRIX
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.units import unit_scale
 
@@ -95,7 +96,7 @@ class Block:
 _ROTATION = np.array([[1, 0, 0, 3]])
 
 
-@jit_wrapped
+@jit(from_python=True)
 def retract(x: Array, d: Array, kinds: Indices) -> Array:
     """x (+) d; kinds has one row (is_SO3, stored offset, tangent offset, dim) a block."""
     out = x.copy()
@@ -110,7 +111,7 @@ def retract(x: Array, d: Array, kinds: Indices) -> Array:
     return out
 
 
-@jit_wrapped
+@jit(from_python=True)
 def local(a: Array, b: Array, kinds: Indices, dim: int) -> Array:
     """The tangent vector d with a (+) d = b."""
     out = np.empty(dim)
@@ -160,14 +161,14 @@ def block_jacobian(d: Array, kinds: Indices, inverse: bool) -> Array:
     return out
 
 
-@jit_as(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
+@jit_loop(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
 def retract_all(x: Array, d: Array, kinds: Indices, out: Array) -> None:
     """:func:`retract` for each row."""
     for k in range(x.shape[0]):
         so3.put_vector(out[k], 0, retract(x[k], d[k], kinds))
 
 
-@jit_as(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
+@jit_loop(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
 def local_all(a: Array, b: Array, kinds: Indices, out: Array) -> None:
     """:func:`local` for each row."""
     for k in range(a.shape[0]):

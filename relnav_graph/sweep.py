@@ -19,7 +19,8 @@ from numba import types
 from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly
-from relnav_graph.compiled import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR, jit, jit_as
+from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
 from relnav_graph.errors import EstimationError
 from relnav_graph.loops import TABLES, Tables, interval_row, observe, propagate
 from relnav_graph.matrices import SPARE, householder, inverse_upper, sandwich
@@ -65,7 +66,7 @@ def _put_rows(a: Array, row: int, e: Array, A: Array) -> float:
     return squares
 
 
-@jit_as(
+@jit_loop(
     TABLES,
     *(INDICES, INDICES, INDEX_MATRIX, MATRIX, VECTOR, STACK, VECTOR, MATRIX, MATRIX),
     *(STACK, STACK, MATRIX, STACK, INDICES, VECTOR, INDICES),
@@ -145,7 +146,7 @@ def _sweep(
     cost[0] = 0.5 * squares
 
 
-@jit_as(STACK, STACK, MATRIX, VECTOR, types.int64, MATRIX)
+@jit_loop(STACK, STACK, MATRIX, VECTOR, types.int64, MATRIX)
 def _back_substitute(R: Array, S: Array, d: Array, end: Array, known: int, out: Array) -> None:
     """known: whether `end` gives the last epoch's."""
     count, n = d.shape
@@ -163,7 +164,7 @@ def _back_substitute(R: Array, S: Array, d: Array, end: Array, known: int, out: 
                 out[k, i] = end[i]
 
 
-@jit_as(STACK, STACK, STACK, types.int64)
+@jit_loop(STACK, STACK, STACK, types.int64)
 def _covariances(R: Array, S: Array, P: Array, known: int) -> None:
     """P_k = R^-1 (I + S P_k+1 S^T) R^-T, backwards from P_N = (R^T R)^-1, or, where that is
     known better, from what P holds there."""

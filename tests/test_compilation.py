@@ -102,8 +102,9 @@ def test_who_waits_for_a_lock_and_holds_one_does_nothing_else(package: Path) -> 
     """It loads a loop, somebody has what the loop calls, and the next task is the same loop."""
     upper = package / "outsider" / "upper.py"
     upper.write_text(
-        "from relnav_graph.compiled import VECTOR, jit_as\nfrom outsider.lower import root\n"
-        "@jit_as(VECTOR)\ndef loop(x):\n    x[0] = root(x[0])\n"
+        "from relnav_graph.compiled import jit_loop\n"
+        "from relnav_graph.compiled.contracts import VECTOR\nfrom outsider.lower import root\n"
+        "@jit_loop(VECTOR)\ndef loop(x):\n    x[0] = root(x[0])\n"
     )
     compile_root = "from outsider.lower import root; from numba import float64\n"
     result(start(package, compile_root + "root.compile((float64,))"))
@@ -113,10 +114,10 @@ def test_who_waits_for_a_lock_and_holds_one_does_nothing_else(package: Path) -> 
     assert result(start(package, f"from outsider.upper import loop; {call}")) == ["3.0"]
     program = (
         "import fcntl, threading\nfrom outsider.upper import loop\n"
-        "from relnav_graph import compilation\n"
+        "from relnav_graph.compiled.symbols import meanwhile\n"
         f"file = open({locks[0]!r}, 'a')\nfcntl.flock(file, fcntl.LOCK_EX)\n"
         "threading.Timer(0.5, file.close).start()\n"
-        "compilation._TASKS[:] = ['outsider.upper:loop/prepare']\n"
+        "meanwhile([loop.prepare])\n"
     )
     assert result(start(package, program + call)) == ["3.0"]
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from relnav_graph import so3
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import MATRIX, VECTOR, jit, jit_as
+from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled.contracts import MATRIX, VECTOR
 from relnav_graph.constants import MU_EARTH
 
 __all__ = ["BODY", "ORBIT", "advance", "circular_orbit", "gravity_gradient"]
@@ -85,7 +86,7 @@ def _derivative(orbit: Array, body: Array, t: float, y: Array, command: Array, o
     so3.put_vector(out, 4, so3.rotate(so3.matrix_at(body, 9), torque))
 
 
-@jit_as(VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, ahead=False)
+@jit_loop(VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, ahead=False)
 def advance(orbit: Array, bodies: Array, span: Array, command: Array, y: Array) -> None:
     """Move y (14,) on in place by the classical Runge-Kutta method.
 

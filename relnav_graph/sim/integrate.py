@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import INDICES, MATRIX, VECTOR, jit, jit_as
+from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled.contracts import INDICES, MATRIX, VECTOR
 
 __all__ = ["STATE_SIZE", "integrate"]
 
@@ -94,7 +95,7 @@ def _step(mu: float, inertia: Array, disturbance: Array, h: float, y: Array, k: 
         y[i] += h * change
 
 
-@jit_as(VECTOR, VECTOR, INDICES, VECTOR, MATRIX, MATRIX, ahead=False)
+@jit_loop(VECTOR, VECTOR, INDICES, VECTOR, MATRIX, MATRIX, ahead=False)
 def integrate(
     p: Array, y0: Array, counts: Indices, h: Array, disturbance: Array, out: Array
 ) -> None:

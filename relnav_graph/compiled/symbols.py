@@ -1,35 +1,23 @@
-"""Machine code with numba: compiled once, called from everywhere, kept on disk.
+"""Compiled functions that call each other by symbol, each generated once.
 
 numba copies the code of a compiled function into every function that calls it, and optimises
 and generates it there anew: most of the time that it takes. Here each function is generated
-once, and its callers call it by a symbol; Python, by a second copy with a wrapper. Helpers
-compile beside the program on other cores; a lock for each function keeps two from doing the
-same.
-
-numba's own disk cache looks only at the file of the cached function: a change in a
-callee, or in a constant, that lives in another file goes unseen. Here the cache folder
-bears a digest of the sources that the code may depend on: this package's lower floors and
-all of the function's own package. A change in any of them gives a new folder.
+once, and its callers call it by a symbol; Python, by a second copy with a wrapper. A lock for
+each function keeps two processes from doing the same.
 """
 
 from __future__ import annotations
 
-import atexit
-import fcntl
 import gc
 import hashlib
-import logging
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import llvmlite.binding
 import numba
@@ -38,50 +26,12 @@ from numba.core import sigutils
 from numba.core.compiler import Flags
 from numba.core.compiler_lock import global_compiler_lock
 
-from relnav_graph.lowering import ShortCompiler, caller_of
+from relnav_graph.compiled.cache import busy, cache_folder, holds_a_lock, locked
 
-__all__ = ["cache_folder", "compile_ahead", "compiled_once", "work"]
+__all__ = ["Vectorize", "compiled_once", "meanwhile"]
 
-_LOG = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
-
-#: Modules of this package that compiled code may call or take constants from.
-_LOWER_FLOORS = (
-    *("backward", "compilation", "compiled", "constants", "filtering", "loops"),
-    *("lowering", "matrices", "orbit", "robust", "so3", "state", "sweep", "updating"),
-)
-
-
-@cache
-def _digest(folder: Path) -> str:
-    """Digest of the sources that machine code of a file in `folder` may depend on: the
-    whole package that it is in; only its own folder for a loose file."""
-    top, loose = folder, not (folder / "__init__.py").is_file()
-    while (top.parent / "__init__.py").is_file():
-        top = top.parent
-    if top == Path(__file__).parent:
-        own = [] if folder == top else list(folder.glob("*.py"))
-        paths = [top / f"{name}.py" for name in _LOWER_FLOORS] + own
-    else:
-        paths = list(top.glob("*.py") if loose else top.rglob("*.py"))
-    sha = hashlib.sha256()
-    for path in sorted(paths):
-        sha.update(path.name.encode() + b"\0" + path.read_bytes())
-    return sha.hexdigest()
-
-
-def cache_folder(source: str) -> Path:
-    """Where the compiled code of the source file `source` is kept.
-
-    ``RELNAV_CACHE_DIR``, else ``XDG_CACHE_HOME``, else ``~/.cache``; below it a folder
-    named after everything that the machine code depends on.
-    """
-    root = os.environ.get("RELNAV_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
-    base = Path(root) if root else Path.home() / ".cache"
-    folders = {Path(__file__).parent, Path(source).resolve().parent}
-    key = "".join(_digest(folder) for folder in sorted(folders))
-    key += f"{numba.__version__} {sys.version_info[:2]} {numba.config.BOUNDSCHECK}"
-    return base / "relnav_graph" / hashlib.sha256(key.encode()).hexdigest()[:16]
+Vectorize = Literal["", "loops", "columns"]
 
 
 @dataclass(frozen=True)
@@ -99,52 +49,15 @@ class _Callee:
 
 #: What the functions that are being compiled call, innermost last.
 _CALLED: list[set[_Callee]] = []
-#: What this process compiles when it has nothing better to do, "module:name/compiler", the
-#: next one last.
-_TASKS: list[str] = []
+#: What this process compiles while it waits for another one, the next one last.
+_MEANWHILE: list[Callable[[], object]] = []
 
 
-def work(tasks: list[str]) -> None:
-    """Make things, each by calling a function of `relnav_graph.compiled` with it, in order."""
-    _TASKS[:] = tasks[::-1]
-    while _TASKS:
-        _make(_TASKS.pop())
-
-
-def _make(task: str) -> None:
-    module, _, name = task.partition(":")
-    name, _, compiler = name.partition("/")
-    thing = getattr(import_module(module), name)
-    getattr(import_module("relnav_graph.compiled"), compiler)(thing)
-
-
-def _busy(path: Path) -> bool:
-    """Whether another process holds a file's lock."""
-    with suppress(OSError), path.open("a") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
-
-
-#: What this process has locked, innermost last: a function, then what it calls, while it is
-#: compiled or loaded.
-_HELD: list[Path] = []
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Alone with a file among all processes; without one where it cannot be written."""
-    with ExitStack() as stack:
-        with suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            fcntl.flock(stack.enter_context(path.open("w")), fcntl.LOCK_EX)
-        _HELD.append(path)
-        try:
-            yield
-        finally:
-            _HELD.pop()
+def meanwhile(tasks: list[Callable[[], object]]) -> None:
+    """Have this process do these, the last one first, while it waits for another one that
+    compiles what it needs. The list is used up."""
+    global _MEANWHILE
+    _MEANWHILE = tasks
 
 
 @contextmanager
@@ -201,9 +114,9 @@ def _call_by_symbol(compiled: Any, folder: Path, vectorize: str) -> None:
         # Who holds no lock may do something else in the meantime; who holds one might come to
         # wait for itself. Callers are locked before what they call, so that nobody waits for
         # each other.
-        while not _HELD and _TASKS and _busy(folder / f"{symbol}.lock"):
-            _make(_TASKS.pop())
-        with global_compiler_lock, _locked(folder / f"{symbol}.lock"), _no_collection():
+        while not holds_a_lock() and _MEANWHILE and busy(folder / f"{symbol}.lock"):
+            _MEANWHILE.pop()()
+        with global_compiler_lock, locked(folder / f"{symbol}.lock"), _no_collection():
             entry = compile_(signature)
         result = compiled.overloads[arguments]
         result.library._reload_init.update(result.reload_init)  # for those who link it
@@ -211,7 +124,7 @@ def _call_by_symbol(compiled: Any, folder: Path, vectorize: str) -> None:
         described.mangled_name = symbol
         address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
         llvmlite.binding.add_symbol(symbol, address)
-        compiled.targetctx.insert_func_defn([(caller_of(described), symbol, arguments)])
+        compiled.targetctx.insert_user_function(symbol, described)
         symbols[arguments] = symbol
         return entry
 
@@ -239,7 +152,7 @@ class _Flags(Flags):  # type: ignore[misc]
 
 def _dispatcher(function: F, folder: Path, wrapped: bool, vectorize: str) -> Any:
     """numba's for a function; wrapped: with what Python calls it through."""
-    options: dict[str, Any] = {"error_model": "numpy", "pipeline_class": ShortCompiler}
+    options: dict[str, Any] = {"error_model": "numpy"}
     options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": not wrapped}
     configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
     numba.config.CACHE_DIR = str(folder)
@@ -282,55 +195,15 @@ def _wrap_when_called(compiled: Any, make_twin: Callable[[], Any]) -> None:
     compiled.add_overload, compiled._compile_for_args = add_overload, compile_for_args
 
 
-def compiled_once(function: F, wrapped: bool = False, vectorize: str = "") -> F:
+def compiled_once(function: F, from_python: bool = False, vectorize: Vectorize = "") -> F:
     """A function that numba compiles when it is first called, and keeps on disk.
 
-    wrapped: what Python calls it through is compiled with it. It takes as long as a small
-    function; else Python's first call has the function compiled once more, with it.
-    vectorize: "loops", which takes long and only helps the long ones; "columns", neighbours
-    that the source writes out one by one; or nothing.
+    from_python, vectorize: see `relnav_graph.compiled.jit`. Without `from_python`, Python's
+    first call has the function compiled once more, with the wrapper for it.
     """
     folder = cache_folder(function.__code__.co_filename)
-    compiled = _dispatcher(function, folder, wrapped, vectorize)
-    if not wrapped:
+    compiled = _dispatcher(function, folder, from_python, vectorize)
+    if not from_python:
         make_twin = cache(lambda: _dispatcher(function, folder / "wrapped", True, vectorize))
         _wrap_when_called(compiled, make_twin)
     return compiled  # type: ignore[no-any-return]
-
-
-#: What helpers run.
-_HELPER = (
-    "import gc, sys; gc.disable(); from relnav_graph.compilation import work; work(sys.argv[1:])"
-)
-
-
-@cache
-def _empty(folder: Path) -> bool:
-    """Whether nothing has been compiled into a cache folder; told once to a process."""
-    return next(folder.rglob("*.nbi"), None) is None  # numba makes the folder at import
-
-
-def compile_ahead(tasks: list[str], sources: Iterable[str]) -> None:
-    """Say so, and start helpers on the other cores, when `sources` were never compiled.
-
-    tasks: "module:name/compiler". Each helper begins elsewhere among them, the first one with
-    the first; this process does some too, from the last one on, while it waits for a helper.
-    What has not been done when it ends is left.
-    """
-    folders = [folder for folder in map(cache_folder, sources) if _empty(folder)]
-    if not folders:
-        return
-    _LOG.info("compiling the models, once; later runs take them from %s", folders[0])
-    _TASKS[:] = tasks
-    helpers = max(0, min(3, (os.cpu_count() or 1) - 1))
-    for i in range(helpers):
-        start = i * len(tasks) // helpers
-        mine = tasks[start:] + tasks[:start]
-        helper = subprocess.Popen(
-            [sys.executable, "-c", _HELPER, *mine],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        atexit.register(helper.kill)

@@ -1,4 +1,4 @@
-"""Kernels: compiled functions of one signature per contract, and the loops that call them.
+"""Kernels: compiled functions of one signature per contract, and how loops call them.
 
 A *kernel* is the one place where a model's formula stands. Each contract has one
 fixed signature, so that the generic loops call kernels by their address and are
@@ -7,36 +7,34 @@ themselves compiled once, whatever models a problem uses.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from functools import cache, wraps
-from typing import Any, TypeVar
+from collections.abc import Callable
+from functools import cache
+from typing import Any
 
 from numba import types
+from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.experimental.function_type import _get_jit_address
 from numba.extending import intrinsic
 
-from relnav_graph.compilation import compile_ahead, compiled_once
 from relnav_graph.errors import ModelError
-from relnav_graph.lowering import call_compiled
 
 __all__ = [
     "DYNAMICS_KERNEL",
+    "GUARD",
+    "INDEX_MATRIX",
+    "INDEX_STACK",
+    "INDICES",
+    "MARK",
+    "MATRIX",
     "SENSOR_KERNEL",
-    "announce",
+    "STACK",
+    "VECTOR",
     "call_dynamics",
     "call_sensor",
     "dynamics_address",
-    "jit",
-    "jit_as",
-    "jit_columns",
-    "jit_vector",
-    "jit_wrapped",
-    "prepare",
     "sensor_address",
 ]
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 VECTOR = types.Array(types.float64, 1, "C")
 MATRIX = types.Array(types.float64, 2, "C")
@@ -60,27 +58,6 @@ SENSOR_KERNEL = types.int64(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
 #: per sub-interval: its length in seconds, then the inputs that hold in it. Fills all of
 #: x_next (stored values of the advanced blocks), F (their sensitivity to all blocks read) and Q.
 DYNAMICS_KERNEL = types.int64(VECTOR, types.float64, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX)
-
-
-def jit(function: F) -> F:
-    """Compile `function` at its first call; for kernels, and for what they call."""
-    return compiled_once(function)
-
-
-def jit_wrapped(function: F) -> F:
-    """:func:`jit` for what Python, too, calls in most runs: with the wrapper for that, which
-    takes as long to compile as a small function."""
-    return compiled_once(function, wrapped=True)
-
-
-def jit_vector(function: F) -> F:
-    """:func:`jit` with loops over vectors, for long rows."""
-    return compiled_once(function, vectorize="loops")
-
-
-def jit_columns(function: F) -> F:
-    """:func:`jit` with vectors made of what is written out for adjoining columns."""
-    return compiled_once(function, vectorize="columns")
 
 
 def _address(kernel: Any, signature: Any) -> int:
@@ -121,7 +98,10 @@ def _call(contract: Any) -> Callable[..., Any]:
         types_ = contract.return_type, contract.args
         pointer = context.call_conv.get_function_type(*types_).as_pointer()
         function = builder.inttoptr(address, pointer)
-        return call_compiled(context, builder, function, *types_, arguments)
+        status, out = context.call_conv.call_function(builder, function, *types_, arguments)
+        with cgutils.if_unlikely(builder, status.is_error):
+            context.call_conv.return_status_propagate(builder, status)
+        return out
 
     return generate
 
@@ -140,54 +120,3 @@ def call_dynamics(
 ) -> tuple[Any, Any]:
     """Inside compiled code: what the process model's kernel at an address does."""
     return DYNAMICS_KERNEL.return_type(types.int64, *DYNAMICS_KERNEL.args), _call(DYNAMICS_KERNEL)
-
-
-#: The loops of `jit_as` in the modules imported so far that helpers compile, "module:name".
-_LOOPS: list[str] = []
-
-
-def jit_as(
-    *arguments: Any, ahead: bool = True
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Compile at the first call, for exactly these numba argument types, returning nothing.
-
-    For the generic loops, which take a kernel by its address, so that one compiled loop
-    serves every kernel. Calls skip numba's dispatch: arrays must be of the type and layout
-    declared. ahead: whether helpers compile it (`announce`): not what a program calls first.
-    """
-
-    def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        @cache
-        def entry() -> Any:
-            compiled: Any = compiled_once(function, wrapped=True)
-            return compiled.compile(types.void(*arguments))
-
-        @wraps(function)
-        def call(*values: Any) -> None:
-            entry()(*values)
-
-        call.prepare = entry  # type: ignore[attr-defined]
-        if ahead:
-            _LOOPS.append(f"{function.__module__}:{function.__qualname__}")
-        return call
-
-    return decorate
-
-
-def prepare(loop: Any) -> None:
-    """Compile a loop of `jit_as` before it is called."""
-    loop.prepare()
-
-
-def announce(sensors: Iterable[Any], processes: Iterable[Any]) -> None:
-    """Say, once, when these kernels will be compiled for the first time, and have other cores
-    help with them and with the loops."""
-    kernels = [(k, "dynamics_address") for k in processes] + [
-        (k, "sensor_address") for k in sensors
-    ]
-    known = [(k.py_func, compiler) for k, compiler in kernels if hasattr(k, "py_func")]
-    # This process simulates first, then asks for the kernels, one by one: the helpers begin
-    # with the loops, which come last.
-    tasks = [f"{loop}/prepare" for loop in _LOOPS]
-    tasks += [f"{f.__module__}:{f.__name__}/{compiler}" for f, compiler in reversed(known)]
-    compile_ahead(tasks, (f.__code__.co_filename for f, _ in known))
