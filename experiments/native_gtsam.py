@@ -28,10 +28,10 @@ from gtsam.symbol_shorthand import C, P, T, V
 
 from factors.beacon_los import BeaconLineOfSight
 from factors.eccentric_relative_motion import EccentricRelativeMotion
-from relnav_graph import so3
 from relnav_graph.graph import insert_block, measurement_factor, process_factor, read_block
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.orbit import KeplerOrbit
 from relnav_graph.models import Measurement
-from relnav_graph.orbit import KeplerOrbit
 from relnav_graph.state import (
     CHASER_ATTITUDE,
     RELATIVE_POSITION,
@@ -65,7 +65,7 @@ def main() -> dict[str, float]:
     for k in range(EPOCHS):
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if k == 0:
-            start = gtsam.Rot3(so3.multiply(R_oc, so3.exp(rng.normal(0, 0.01, 3))))
+            start = gtsam.Rot3(dense.matmul(R_oc, so3.exp(rng.normal(0, 0.01, 3))))
             guess_r, guess_v = r + rng.normal(0, 0.2, 3), v + rng.normal(0, 1e-3, 3)
             attitude = gtsam.noiseModel.Isotropic.Sigma(3, 0.01)
             graph.add(gtsam.PriorFactorRot3(C(0), start, attitude))
@@ -75,7 +75,7 @@ def main() -> dict[str, float]:
             graph.add(
                 gtsam.PriorFactorVector(V(0), guess_v, gtsam.noiseModel.Isotropic.Sigma(3, 1e-3))
             )
-            R_ot_guess = so3.multiply(R_ot, so3.exp(rng.normal(0, 0.05, 3)))
+            R_ot_guess = dense.matmul(R_ot, so3.exp(rng.normal(0, 0.05, 3)))
             graph.add(
                 gtsam.PriorFactorRot3(
                     T(0), gtsam.Rot3(R_ot_guess), gtsam.noiseModel.Isotropic.Sigma(3, 0.05)
@@ -94,7 +94,7 @@ def main() -> dict[str, float]:
             graph.add(gtsam.BetweenFactorRot3(C(k - 1), C(k), measured, between))
             guess_r, guess_v = orbit.propagate(t0, u, *before)
             r, v = orbit.propagate(t0, u, r, v)
-            R_oc = so3.multiply(R_oc, so3.exp(turn))
+            R_oc = dense.matmul(R_oc, so3.exp(turn))
             values.insert(C(k), estimate.atRot3(C(k - 1)).compose(measured))
         insert_block(values, P(k), RELATIVE_POSITION, guess_r)
         insert_block(values, V(k), RELATIVE_VELOCITY, guess_v)

@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
 
@@ -26,8 +26,8 @@ UNIT = 1e-3
 def attitude_residual(q_wxyz: Array, predicted: Array, r: Array) -> Array:
     """Fill r (3,) with Log(R_measured^T R_predicted), rad; returns its inverse right
     Jacobian (3, 3): dr / d(right perturbation of the prediction). q and -q are the same."""
-    error = so3.log(so3.transpose_multiply(so3.from_quaternion(q_wxyz), predicted))
-    so3.put_vector(r, 0, error)
+    error = so3.log(dense.transposed_matmul(so3.from_quaternion(q_wxyz), predicted))
+    dense.put_vector(r, 0, error)
     return so3.right_jacobian_inverse(error)
 
 
@@ -47,7 +47,7 @@ def unit_quaternions(where: str, q_wxyz: Array) -> Array:
 def turned(q_wxyz: Array, e: Array) -> Array:
     """Quaternions (k, 4) of R Exp(e), for e (k, 3), rad."""
     pairs = zip(np.ascontiguousarray(q_wxyz), np.ascontiguousarray(e), strict=True)
-    return so3.stacked((so3.quaternion(so3.from_quaternion(q) @ so3.exp(d)) for q, d in pairs), 4)
+    return dense.stacked((so3.quaternion(so3.from_quaternion(q) @ so3.exp(d)) for q, d in pairs), 4)
 
 
 @dataclass(frozen=True, kw_only=True)

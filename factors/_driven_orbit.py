@@ -8,9 +8,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, Block
 from relnav_graph.units import Quantity
@@ -39,15 +39,15 @@ def drive(
     S, Q = np.zeros((n, n + OTHERS)), np.zeros((6, 6))
     for i in range(n):
         S[i, i] = 1.0
-    to_R, to_g = so3.identity(3), np.zeros((3, 3))
+    to_R, to_g = dense.identity(3), np.zeros((3, 3))
     turn, kick = np.empty(3), np.empty((3, 9))
     for row in range(u.shape[0]):
         dt = u[row, 0]
         y, S, Q = coast(p, y, S, Q, dt, p[FIELD + 1], 0.0, p[FIELD])
         dv, by_R, by_g, by_f, R_ic = velocity_gained(R_ic, u[row], b_g, b_f)
-        so3.put(kick, 0, ATTITUDE, so3.multiply(by_R, to_R), 1.0)
-        so3.put(kick, 0, GYRO, so3.add(by_g, so3.multiply(by_R, to_g), 1.0), 1.0)
-        so3.put(kick, 0, FORCE, by_f, 1.0)
+        dense.put_block(kick, 0, ATTITUDE, dense.matmul(by_R, to_R), 1.0)
+        dense.put_block(kick, 0, GYRO, dense.add_scaled(by_g, dense.matmul(by_R, to_g), 1.0), 1.0)
+        dense.put_block(kick, 0, FORCE, by_f, 1.0)
         for first in range(0, n, 6):
             for i in range(3):
                 y[first + i] += 0.5 * dt * dv[i]
@@ -57,9 +57,9 @@ def drive(
                     S[first + 3 + i, n + j] += kick[i, j]
         for i in range(3):
             turn[i] = (u[row, 1 + i] - b_g[i]) * dt
-        back = so3.transpose_multiply(so3.exp(turn), so3.identity(3))
-        to_R = so3.multiply(back, to_R)
-        to_g = so3.add(so3.multiply(back, to_g), so3.right_jacobian(turn), -dt)
+        back = dense.transposed_matmul(so3.exp(turn), dense.identity(3))
+        to_R = dense.matmul(back, to_R)
+        to_g = dense.add_scaled(dense.matmul(back, to_g), so3.right_jacobian(turn), -dt)
     return y, S, Q
 
 

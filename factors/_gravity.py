@@ -10,10 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
+from relnav_graph.maths import dense
 
 from ._white_noise import add_integrated_white_noise, step_count
 
@@ -49,7 +49,7 @@ def zonal_gravity(p: Array, r_i: Array, lowest: int) -> tuple[Array, Array]:
     mu J_n R^n r^-(n+2) (P'_n+1(s) r_i / r - P'_n(s) z); J_0 = -1 is the sphere's (Vallado
     2013, section 8.6; written with P'_n+1 = (n + 1) P_n + s P'_n).
     """
-    r = so3.norm(r_i)
+    r = dense.norm(r_i)
     n_i, z_i, across = r_i / r, np.zeros(3), np.empty(3)
     z_i[2] = 1.0
     first, second = _legendre(n_i[2])
@@ -78,7 +78,7 @@ def gravity_difference(p: Array, r_c: Array, r_tc: Array) -> tuple[Array, Array,
     The sphere's part in Battin's form (1999, eq. 8.61), which loses no digits however
     small the separation; the harmonics' part is small enough to be subtracted.
     """
-    r_t = so3.add_vector(r_c, r_tc, -1.0)
+    r_t = dense.add_scaled_vector(r_c, r_tc, -1.0)
     s, q, distance2 = 0.0, 0.0, 0.0
     for i in range(3):
         s += r_c[i] ** 2
@@ -87,12 +87,12 @@ def gravity_difference(p: Array, r_c: Array, r_tc: Array) -> tuple[Array, Array,
     q /= s
     stretch = q * (3 + q * (3 + q)) / (1 + (1 + q) ** 1.5)
     pull = p[0] / (distance2 * np.sqrt(distance2))
-    out = so3.add_vector(zonal_gravity(p, r_c, 2)[0], zonal_gravity(p, r_t, 2)[0], -1.0)
+    out = dense.add_scaled_vector(zonal_gravity(p, r_c, 2)[0], zonal_gravity(p, r_t, 2)[0], -1.0)
     for i in range(3):
         out[i] -= pull * (r_tc[i] + stretch * r_c[i])
     _, G_c = zonal_gravity(p, r_c, 0)
     _, G_t = zonal_gravity(p, r_t, 0)
-    return out, G_t, so3.add(G_c, G_t, -1.0)
+    return out, G_t, dense.add_scaled(G_c, G_t, -1.0)
 
 
 @jit
@@ -102,14 +102,14 @@ def _derivative(p: Array, y: Array) -> tuple[Array, Array]:
     n = y.shape[0]
     out, jacobian = np.empty(n), np.zeros((n, n))
     at = n - 6
-    g, G = zonal_gravity(p, so3.vector_at(y, at), 0)
-    so3.put_vector(out, at + 3, g)
-    so3.put(jacobian, at + 3, at, G, 1.0)
+    g, G = zonal_gravity(p, dense.vector_at(y, at), 0)
+    dense.put_vector(out, at + 3, g)
+    dense.put_block(jacobian, at + 3, at, G, 1.0)
     if at > 0:
-        g, to_r, to_c = gravity_difference(p, so3.vector_at(y, at), so3.vector_at(y, 0))
-        so3.put_vector(out, 3, g)
-        so3.put(jacobian, 3, 0, to_r, 1.0)
-        so3.put(jacobian, 3, at, to_c, 1.0)
+        g, to_r, to_c = gravity_difference(p, dense.vector_at(y, at), dense.vector_at(y, 0))
+        dense.put_vector(out, 3, g)
+        dense.put_block(jacobian, 3, 0, to_r, 1.0)
+        dense.put_block(jacobian, 3, at, to_c, 1.0)
     for first in range(0, n, 6):
         for i in range(first, first + 3):
             out[i] = y[i + 3]
@@ -123,15 +123,18 @@ def orbit_step(p: Array, y: Array, h: float) -> tuple[Array, Array]:
 
     y: (r_c, v_c) or (r_tc, v_tc, r_c, v_c), in inertial axes, m and m/s.
     """
-    one = so3.identity(y.shape[0])
+    one = dense.identity(y.shape[0])
     at_y, at_d, end_y, end_d = y, one, y, one
     for stage in range(4):
         k, slope = _derivative(p, at_y)
-        dk = so3.multiply(slope, at_d)
+        dk = dense.matmul(slope, at_d)
         weight = h / 6 if stage in (0, 3) else h / 3
-        end_y, end_d = so3.add_vector(end_y, k, weight), so3.add(end_d, dk, weight)
+        end_y, end_d = (
+            dense.add_scaled_vector(end_y, k, weight),
+            dense.add_scaled(end_d, dk, weight),
+        )
         ahead = h if stage == 2 else 0.5 * h
-        at_y, at_d = so3.add_vector(y, k, ahead), so3.add(one, dk, ahead)
+        at_y, at_d = dense.add_scaled_vector(y, k, ahead), dense.add_scaled(one, dk, ahead)
     return end_y, end_d
 
 
@@ -152,7 +155,7 @@ def coast(
         for i in range(6):
             for j in range(6):
                 own[i, j] = step[i, j]
-        S, Q = so3.multiply(step, S), so3.propagate_covariance(own, Q)
+        S, Q = dense.matmul(step, S), dense.propagate_covariance(own, Q)
         add_integrated_white_noise(Q, 0, white**2, h)
         for i in range(3):
             Q[i, i] += walk**2 * h

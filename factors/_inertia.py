@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.state import TRACELESS
+from relnav_graph.maths import dense
+from relnav_graph.maths.inertia import TRACELESS
 
 
 @jit(from_python=True)
@@ -33,29 +33,29 @@ def _exponential(S: Array) -> tuple[Array, Array]:
     while size > 0.25:
         size, squarings = size / 4, squarings + 1
     scale = 0.5**squarings
-    small = so3.add(np.zeros((3, 3)), S, scale)
-    out, term = so3.identity(3), so3.identity(3)
+    small = dense.add_scaled(np.zeros((3, 3)), S, scale)
+    out, term = dense.identity(3), dense.identity(3)
     d_out, d_term = np.zeros((5, 3, 3)), np.zeros((5, 3, 3))
     for n in range(1, 15):  # 0.5^15 / 15! is far below rounding
         for a in range(5):
-            d = so3.multiply(d_term[a], small)
-            d = so3.add(d, so3.multiply(term, TRACELESS[a]), scale)
-            so3.put(d_term[a], 0, 0, d, 1.0 / n)
-            so3.put(d_out[a], 0, 0, so3.add(d_out[a], d_term[a], 1.0), 1.0)
-        term = so3.add(np.zeros((3, 3)), so3.multiply(term, small), 1.0 / n)
-        out = so3.add(out, term, 1.0)
+            d = dense.matmul(d_term[a], small)
+            d = dense.add_scaled(d, dense.matmul(term, TRACELESS[a]), scale)
+            dense.put_block(d_term[a], 0, 0, d, 1.0 / n)
+            dense.put_block(d_out[a], 0, 0, dense.add_scaled(d_out[a], d_term[a], 1.0), 1.0)
+        term = dense.add_scaled(np.zeros((3, 3)), dense.matmul(term, small), 1.0 / n)
+        out = dense.add_scaled(out, term, 1.0)
     for _ in range(squarings):
         for a in range(5):
-            d = so3.add(so3.multiply(d_out[a], out), so3.multiply(out, d_out[a]), 1.0)
-            so3.put(d_out[a], 0, 0, d, 1.0)
-        out = so3.multiply(out, out)
+            d = dense.add_scaled(dense.matmul(d_out[a], out), dense.matmul(out, d_out[a]), 1.0)
+            dense.put_block(d_out[a], 0, 0, d, 1.0)
+        out = dense.matmul(out, out)
     return out, d_out
 
 
 @jit
 def _inertia_of(density: Array) -> Array:
     """J = tr(D) I - D of the second moments D of the mass, (3, 3)."""
-    out = so3.add(np.zeros((3, 3)), density, -1.0)
+    out = dense.add_scaled(np.zeros((3, 3)), density, -1.0)
     for i in range(3):
         out[i, i] += density[0, 0] + density[1, 1] + density[2, 2]
     return out
@@ -70,11 +70,11 @@ def inertia_matrix(k: Array) -> tuple[Array, Array]:
     """
     S = np.zeros((3, 3))
     for a in range(5):
-        S = so3.add(S, TRACELESS[a], k[a])
+        S = dense.add_scaled(S, TRACELESS[a], k[a])
     density, slope = _exponential(S)
     d_inertia = np.empty((5, 3, 3))
     for a in range(5):
-        so3.put(d_inertia[a], 0, 0, _inertia_of(slope[a]), 1.0)
+        dense.put_block(d_inertia[a], 0, 0, _inertia_of(slope[a]), 1.0)
     return _inertia_of(density), d_inertia
 
 
@@ -107,7 +107,7 @@ def _gyroscopic(J: Array) -> Array:
 @jit
 def coefficients_of(J: Array) -> Array:
     """A (3, 6), as `principal_coefficients` has it, of a known inertia J (3, 3)."""
-    return so3.add(np.zeros((3, 6)), so3.multiply(_inverse(J), _gyroscopic(J)), -1.0)
+    return dense.add_scaled(np.zeros((3, 6)), dense.matmul(_inverse(J), _gyroscopic(J)), -1.0)
 
 
 @jit
@@ -129,8 +129,8 @@ def full_coefficients(k: Array) -> tuple[Array, Array]:
     """What `principal_coefficients` gives, of the full matrix, A = -J^-1 C, and k (5,)."""
     J, dJ = inertia_matrix(k)
     slope = np.zeros((5, 3, 6))
-    A, minus = coefficients_of(J), so3.add(np.zeros((3, 3)), _inverse(J), -1.0)
+    A, minus = coefficients_of(J), dense.add_scaled(np.zeros((3, 3)), _inverse(J), -1.0)
     for a in range(5):  # of J A = -C
-        bent = so3.add(_gyroscopic(dJ[a]), so3.multiply(dJ[a], A), 1.0)
-        so3.put(slope[a], 0, 0, so3.multiply(minus, bent), 1.0)
+        bent = dense.add_scaled(_gyroscopic(dJ[a]), dense.matmul(dJ[a], A), 1.0)
+        dense.put_block(slope[a], 0, 0, dense.matmul(minus, bent), 1.0)
     return A, slope

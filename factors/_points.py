@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.state import (
     CHASER_ATTITUDE,
     RELATIVE_ATTITUDE,
@@ -46,9 +46,9 @@ def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, A
         p_s = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c)
     """
     orbital = x.shape[0] == 21
-    R_cs, R_oc = so3.matrix_at(mounting, 0), so3.matrix_at(x, 0)
+    R_cs, R_oc = dense.matrix_at(mounting, 0), dense.matrix_at(x, 0)
     r_at = 18 if orbital else 9
-    X_o = so3.rotate(so3.matrix_at(x, 9), point_t) if orbital else point_t
+    X_o = dense.matvec(dense.matrix_at(x, 9), point_t) if orbital else point_t
     line_c = np.zeros(3)  # from the chaser's origin to the point
     for i in range(3):
         for j in range(3):

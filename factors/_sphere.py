@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
 
 #: What a status of 1 of :func:`sphere_residual` means.
 OPPOSITE = 1
@@ -16,7 +16,7 @@ OPPOSITE = 1
 def direction(p: Array, jacobian: Array) -> tuple[Array, float]:
     """Unit vector (3,) along p (3,), and its length. jacobian: of p, (3, n); becomes that of
     the unit vector."""
-    distance = so3.norm(p)
+    distance = dense.norm(p)
     b = np.empty(3)
     for i in range(3):
         b[i] = p[i] / distance
@@ -37,7 +37,7 @@ def tangent_basis(b: Array) -> Array:
     axis = np.zeros(3)
     axis[smallest] = 1.0
     first = so3.cross(b, axis)
-    length, second = so3.norm(first), so3.cross(b, first)
+    length, second = dense.norm(first), so3.cross(b, first)
     out = np.empty((3, 2))
     for i in range(3):
         out[i, 0], out[i, 1] = first[i] / length, second[i] / length
@@ -50,7 +50,7 @@ def turned(lines: Array, e: Array) -> Array:
     out = np.empty(lines.shape)
     for k in range(lines.shape[0]):
         basis = tangent_basis(lines[k])
-        angle = so3.norm(e[k])
+        angle = dense.norm(e[k])
         stretch = np.sin(angle) / angle if angle > 0.0 else 1.0
         for i in range(3):
             step = basis[i, 0] * e[k, 0] + basis[i, 1] * e[k, 1]
@@ -67,9 +67,9 @@ def sphere_residual(z: Array, b: Array, db: Array, row: int, r: Array, H: Array)
     Returns `OPPOSITE` when b is opposite to z, else 0.
     """
     basis = tangent_basis(z)
-    across = so3.unrotate(basis, b)
+    across = dense.transposed_matvec(basis, b)
     c = z[0] * b[0] + z[1] * b[1] + z[2] * b[2]
-    s = so3.norm(across)
+    s = dense.norm(across)
     angle = np.arctan2(s, c)
     if angle > 3.14:
         return OPPOSITE

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
 
 #: Table of a gyro: the mean of w_ci_c over each sample.
 GYRO_COLUMNS = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
@@ -41,16 +41,16 @@ def velocity_gained(
         half[i] = 0.5 * (row[1 + i] - b_g[i]) * dt
         force[i] = (row[4 + i] - b_f[i]) * dt
     ahead = so3.exp(half)
-    R_im = so3.multiply(R_ic, ahead)
-    to_attitude = so3.multiply(R_ic, so3.skew(so3.rotate(ahead, force)))
-    to_half = so3.multiply(so3.multiply(R_im, so3.skew(force)), so3.right_jacobian(half))
+    R_im = dense.matmul(R_ic, ahead)
+    to_attitude = dense.matmul(R_ic, so3.skew(dense.matvec(ahead, force)))
+    to_half = dense.matmul(dense.matmul(R_im, so3.skew(force)), so3.right_jacobian(half))
     zero = np.zeros((3, 3))
     return (
-        so3.rotate(R_im, force),
-        so3.add(zero, to_attitude, -1.0),
-        so3.add(zero, to_half, 0.5 * dt),
-        so3.add(zero, R_im, -dt),
-        so3.multiply(R_im, ahead),
+        dense.matvec(R_im, force),
+        dense.add_scaled(zero, to_attitude, -1.0),
+        dense.add_scaled(zero, to_half, 0.5 * dt),
+        dense.add_scaled(zero, R_im, -dt),
+        dense.matmul(R_im, ahead),
     )
 
 
@@ -59,7 +59,7 @@ def _one(u: Array, first: int, last: int, out: Array) -> None:
     """Rows first to last - 1 of u as one row `out`: the constant rate and force that turn
     and accelerate as much."""
     width = u.shape[1]
-    turned, gained, length = so3.identity(3), np.zeros(3), 0.0
+    turned, gained, length = dense.identity(3), np.zeros(3), 0.0
     half, force = np.empty(3), np.zeros(3)
     for row in range(first, last):
         dt = u[row, 0]
@@ -69,13 +69,13 @@ def _one(u: Array, first: int, last: int, out: Array) -> None:
             if width > 4:
                 force[i] = u[row, 4 + i] * dt
         ahead = so3.exp(half)
-        middle = so3.multiply(turned, ahead)
-        gained = so3.add_vector(gained, so3.rotate(middle, force), 1.0)
-        turned = so3.multiply(middle, ahead)
+        middle = dense.matmul(turned, ahead)
+        gained = dense.add_scaled_vector(gained, dense.matvec(middle, force), 1.0)
+        turned = dense.matmul(middle, ahead)
     angle = so3.log(so3.project(turned))
     for i in range(3):
         half[i] = 0.5 * angle[i]
-    gained = so3.unrotate(so3.exp(half), gained)
+    gained = dense.transposed_matvec(so3.exp(half), gained)
     out[0] = length
     for i in range(3):
         out[1 + i] = angle[i] / length
@@ -88,7 +88,7 @@ def condense(u: Array, largest: float) -> Array:
     """Rows (dt, w) or (dt, w, f) as few rows: each turns by about `largest`, rad, at most."""
     out, rows, first, angle = np.empty(u.shape), 0, 0, 0.0
     for row in range(u.shape[0]):
-        own = so3.norm(u[row, 1:4]) * u[row, 0]
+        own = dense.norm(u[row, 1:4]) * u[row, 0]
         if row > first and angle + own > largest:
             _one(u, first, row, out[rows])
             rows, first, angle = rows + 1, row, 0.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 
 
 @jit
@@ -44,8 +44,8 @@ def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) ->
 @jit
 def carry(step: Array, F: Array, Q: Array) -> None:
     """Bring the sensitivity F and the noise Q of what came before to the end of a step."""
-    so3.put(F, 0, 0, so3.multiply(step, F), 1.0)
-    so3.put(Q, 0, 0, so3.propagate_covariance(step, Q), 1.0)
+    dense.put_block(F, 0, 0, dense.matmul(step, F), 1.0)
+    dense.put_block(Q, 0, 0, dense.propagate_covariance(step, Q), 1.0)
 
 
 @jit

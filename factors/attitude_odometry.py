@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 from relnav_graph.state import Block
 
 from ._attitude import AttitudeSensor, attitude_residual
@@ -21,10 +21,10 @@ from .relative_pose import relative_attitude
 @jit
 def chaser_in_target(attitudes: Array) -> tuple[Array, Array]:
     """R_tc and its Jacobian, from (R_oc, R_ot) or from (R_tc) itself."""
-    first = so3.matrix_at(attitudes, 0)
+    first = dense.matrix_at(attitudes, 0)
     if attitudes.shape[0] == 9:
-        return first, so3.identity(3)
-    return relative_attitude(first, so3.matrix_at(attitudes, 9))
+        return first, dense.identity(3)
+    return relative_attitude(first, dense.matrix_at(attitudes, 9))
 
 
 @jit
@@ -33,13 +33,13 @@ def turn_between(R_cs: Array, before: Array, now: Array) -> tuple[Array, Array]:
     right perturbation to the attitudes of before and of now, each (R_oc, R_ot) or (R_tc)."""
     R_before, to_before = chaser_in_target(before)
     R_now, to_now = chaser_in_target(now)
-    R_cc = so3.transpose_multiply(R_before, R_now)
+    R_cc = dense.transposed_matmul(R_before, R_now)
     n = to_now.shape[1]
     in_c = np.zeros((3, 2 * n))
-    so3.put(in_c, 0, 0, so3.transpose_multiply(R_cc, to_before), -1.0)
-    so3.put(in_c, 0, n, to_now, 1.0)
-    turn = so3.multiply(so3.transpose_multiply(R_cs, R_cc), R_cs)
-    return turn, so3.transpose_multiply(R_cs, in_c)
+    dense.put_block(in_c, 0, 0, dense.transposed_matmul(R_cc, to_before), -1.0)
+    dense.put_block(in_c, 0, n, to_now, 1.0)
+    turn = dense.matmul(dense.transposed_matmul(R_cs, R_cc), R_cs)
+    return turn, dense.transposed_matmul(R_cs, in_c)
 
 
 @jit
@@ -47,8 +47,8 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (3,): Log(R_measured^T R_s-s), in present sensor axes. x: the attitudes of before,
     then those of now."""
     half = x.shape[0] // 2
-    turn, jacobian = turn_between(so3.matrix_at(p, 0), x[:half], x[half:])
-    so3.put(H, 0, 0, so3.multiply(attitude_residual(z, turn, r), jacobian), 1.0)
+    turn, jacobian = turn_between(dense.matrix_at(p, 0), x[:half], x[half:])
+    dense.put_block(H, 0, 0, dense.matmul(attitude_residual(z, turn, r), jacobian), 1.0)
     return 0
 
 

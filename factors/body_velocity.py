@@ -8,9 +8,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import (
     CHASER_ATTITUDE,
@@ -31,7 +31,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
     The path within dt is curved: its integral is the left Jacobian of the turn.
     """
-    R, turned = so3.matrix_at(x, 3), so3.identity(3)
+    R, turned = dense.matrix_at(x, 3), dense.identity(3)
     path_c, noise = np.zeros(3), np.zeros((3, 3))
     velocity, turn, spread = np.empty(3), np.empty(3), np.zeros((3, 3))
     for row in range(u.shape[0]):
@@ -40,14 +40,16 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             velocity[i], turn[i] = u[row, 1 + i], u[row, 4 + i] * dt
             spread[i, i] = p[i] ** 2 * dt
         # The left Jacobian of a turn is the transpose of the right one.
-        mean_c = so3.unrotate(so3.right_jacobian(turn), velocity)
-        path_c = so3.add_vector(path_c, so3.rotate(turned, mean_c), dt)
-        noise = so3.add(noise, so3.propagate_covariance(turned, spread), 1.0)
-        turned = so3.multiply(turned, so3.exp(turn))
-    so3.put_vector(x_next, 0, so3.add_vector(so3.vector_at(x, 0), so3.rotate(R, path_c), 1.0))
-    so3.put(F, 0, 0, so3.identity(3), 1.0)
-    so3.put(F, 0, 3, so3.multiply(R, so3.skew(path_c)), -1.0)
-    so3.put(Q, 0, 0, so3.propagate_covariance(R, noise), 1.0)
+        mean_c = dense.transposed_matvec(so3.right_jacobian(turn), velocity)
+        path_c = dense.add_scaled_vector(path_c, dense.matvec(turned, mean_c), dt)
+        noise = dense.add_scaled(noise, dense.propagate_covariance(turned, spread), 1.0)
+        turned = dense.matmul(turned, so3.exp(turn))
+    dense.put_vector(
+        x_next, 0, dense.add_scaled_vector(dense.vector_at(x, 0), dense.matvec(R, path_c), 1.0)
+    )
+    dense.put_block(F, 0, 0, dense.identity(3), 1.0)
+    dense.put_block(F, 0, 3, dense.matmul(R, so3.skew(path_c)), -1.0)
+    dense.put_block(Q, 0, 0, dense.propagate_covariance(R, noise), 1.0)
     return 0
 
 

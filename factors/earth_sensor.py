@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import Measurement
 from relnav_graph.state import CHASER_ATTITUDE, CHASER_POSITION, Block
 from relnav_graph.units import Quantity
@@ -26,20 +26,20 @@ _BEHIND = "the Earth is behind the sensor"
 def earth_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
     """Place (3,) of the Earth's centre in sensor axes, and its Jacobian (3, 6) to
     x = (R_ic, r_c_i)."""
-    R_ic, down_i = so3.matrix_at(x, 0), so3.vector_at(x, 9)
+    R_ic, down_i = dense.matrix_at(x, 0), dense.vector_at(x, 9)
     for i in range(3):
         down_i[i] = -down_i[i]
-    down_c = so3.unrotate(R_ic, down_i)
-    R_is, jacobian = so3.multiply(R_ic, R_cs), np.empty((3, 6))
-    so3.put(jacobian, 0, 0, so3.transpose_multiply(R_cs, so3.skew(down_c)), 1.0)
-    so3.put(jacobian, 0, 3, so3.transpose_multiply(R_is, so3.identity(3)), -1.0)
-    return so3.unrotate(R_cs, down_c), jacobian
+    down_c = dense.transposed_matvec(R_ic, down_i)
+    R_is, jacobian = dense.matmul(R_ic, R_cs), np.empty((3, 6))
+    dense.put_block(jacobian, 0, 0, dense.transposed_matmul(R_cs, so3.skew(down_c)), 1.0)
+    dense.put_block(jacobian, 0, 3, dense.transposed_matmul(R_is, dense.identity(3)), -1.0)
+    return dense.transposed_matvec(R_cs, down_c), jacobian
 
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (2,): roll and pitch, rad. x = (R_ic, r_c_i, bias); p: R_cs row by row."""
-    e, de = earth_in_sensor(so3.matrix_at(p, 0), x)
+    e, de = earth_in_sensor(dense.matrix_at(p, 0), x)
     if e[2] <= 0.0:
         return 1
     for i in range(2):

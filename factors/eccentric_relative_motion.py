@@ -7,11 +7,11 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
+from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
 from relnav_graph.models import DynamicsModel, Kernel
-from relnav_graph.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
 from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
 from relnav_graph.units import Quantity
 
@@ -24,7 +24,7 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
     x, (3, 6): the exact difference of two two-body motions.
 
     The difference of gravities in Battin's form (1999, eq. 8.61), which loses no digits
-    however small the separation. motion: see `relnav_graph.orbit.chief_motion`.
+    however small the separation. motion: see `relnav_graph.maths.orbit.chief_motion`.
     """
     radius, rate, rate_dot = motion[0], motion[3], motion[4]
     rate2 = rate * rate
@@ -55,7 +55,7 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
 @jit
 def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
     """x (6,) after one Runge-Kutta step of h seconds, and the step's own Jacobian."""
-    one = so3.identity(6)
+    one = dense.identity(6)
     at_x, at_d, end_x, end_d = x, one, x, one
     k, dk = np.empty(6), np.empty((6, 6))
     motion = chief_motion(orbit, t)
@@ -63,15 +63,18 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
         if stage in (1, 3):
             motion = chief_motion(orbit, t + h if stage == 3 else t + 0.5 * h)
         a, da = relative_acceleration(motion, orbit[3], at_x)
-        chained = so3.multiply(da, at_d)
+        chained = dense.matmul(da, at_d)
         for i in range(3):
             k[i], k[3 + i] = at_x[3 + i], a[i]
             for j in range(6):
                 dk[i, j], dk[3 + i, j] = at_d[3 + i, j], chained[i, j]
         weight = h / 6 if stage in (0, 3) else h / 3
-        end_x, end_d = so3.add_vector(end_x, k, weight), so3.add(end_d, dk, weight)
+        end_x, end_d = (
+            dense.add_scaled_vector(end_x, k, weight),
+            dense.add_scaled(end_d, dk, weight),
+        )
         ahead = h if stage == 2 else 0.5 * h
-        at_x, at_d = so3.add_vector(x, k, ahead), so3.add(one, dk, ahead)
+        at_x, at_d = dense.add_scaled_vector(x, k, ahead), dense.add_scaled(one, dk, ahead)
     return end_x, end_d
 
 
@@ -81,13 +84,13 @@ def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     length = duration(u)
     steps = step_count(length, p[5])
     h = length / steps
-    state, total, noise = x, so3.identity(6), np.zeros((6, 6))
+    state, total, noise = x, dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
         state, step = exact_step(p, t + n * h, h, state)
         add_step(step, p[4] ** 2, h, total, noise)
-    so3.put_vector(x_next, 0, state)
-    so3.put(F, 0, 0, total, 1.0)
-    so3.put(Q, 0, 0, noise, 1.0)
+    dense.put_vector(x_next, 0, state)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 
@@ -97,13 +100,13 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     length = duration(u)
     steps = step_count(length, p[5])
     h = length / steps
-    total, noise = so3.identity(6), np.zeros((6, 6))
+    total, noise = dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
         step = relative_transition(p, t + n * h, t + (n + 1) * h)
         add_step(step, p[4] ** 2, h, total, noise)
-    so3.put_vector(x_next, 0, so3.rotate(total, x))
-    so3.put(F, 0, 0, total, 1.0)
-    so3.put(Q, 0, 0, noise, 1.0)
+    dense.put_vector(x_next, 0, dense.matvec(total, x))
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 
@@ -112,7 +115,7 @@ class EccentricRelativeMotion(DynamicsModel):
     """Position and velocity of the chaser relative to the target, in the rotating frame.
 
     gravity = "linear": Zhang et al. 2015, eq. 1, whose transition matrix is known in
-    closed form (`relnav_graph.orbit.relative_transition`); it neglects 1.5 mu r^2 / R^4,
+    closed form (`relnav_graph.maths.orbit.relative_transition`); it neglects 1.5 mu r^2 / R^4,
     2.5e-8 m/s^2 at 300 m in low orbit. gravity = "exact": the difference of the two
     two-body motions, of which the linear equations are the first order.
 

@@ -7,12 +7,13 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.inertia import check_inertia
+from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.models import DynamicsModel, Kernel
-from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.state import (
     BODY_RATE,
     INERTIA,
@@ -45,8 +46,8 @@ def _rotate(
     steps = step_count(length, p[6])
     h = length / steps
     n = x.shape[0] - 6  # of the tangent
-    R_ot, w, k = so3.matrix_at(x, 0), so3.vector_at(x, 9), x[12:]
-    total, noise, step = so3.identity(n), np.zeros((n, n)), so3.identity(n)
+    R_ot, w, k = dense.matrix_at(x, 0), dense.vector_at(x, 9), x[12:]
+    total, noise, step = dense.identity(n), np.zeros((n, n)), dense.identity(n)
     angle = np.empty(3)
     for _ in range(steps):
         before = start_of(w, n - 3)
@@ -57,7 +58,7 @@ def _rotate(
         for i in range(3):
             w[i], angle[i] = after[i, 0], turn[i, 0]
         ahead, bend = so3.exp(angle), so3.right_jacobian(angle)
-        so3.put(R_ot, 0, 0, so3.multiply(R_ot, ahead), 1.0)
+        dense.put_block(R_ot, 0, 0, dense.matmul(R_ot, ahead), 1.0)
         for i in range(3):
             for j in range(3):
                 step[i, j] = ahead[j, i]
@@ -69,12 +70,12 @@ def _rotate(
         add_step(step, p[4] ** 2, h, total, noise)
         for i in range(6, n):
             noise[i, i] += p[5] ** 2 * h
-    R_next = so3.multiply(frame_rotation(p, t, t + length), R_ot)
-    so3.put_matrix(x_next, 0, so3.project(R_next))
-    so3.put_vector(x_next, 9, w)
-    so3.put_vector(x_next, 12, k)
-    so3.put(F, 0, 0, total, 1.0)
-    so3.put(Q, 0, 0, noise, 1.0)
+    R_next = dense.matmul(frame_rotation(p, t, t + length), R_ot)
+    dense.put_matrix(x_next, 0, so3.project(R_next))
+    dense.put_vector(x_next, 9, w)
+    dense.put_vector(x_next, 12, k)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
 
 
 @jit
@@ -138,9 +139,7 @@ class EulerRotation(DynamicsModel):
         if (J is not None) != (self.inertia == "known"):
             raise InputError(f"{self.kind}: known_inertia goes with inertia = 'known', and only so")
         if J is not None:
-            moments = np.linalg.eigvalsh(0.5 * np.trace(J) * np.eye(3) - J)
-            if not moments.min() > 0 or np.abs(J - J.T).max() > 1e-9 * np.abs(J).max():
-                raise InputError(f"{self.kind}.known_inertia: found {J.tolist()}: no body has it")
+            check_inertia(f"{self.kind}.known_inertia", J)
 
     @property
     def kernel(self) -> Kernel:  # type: ignore[override]

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import Measurement, SensorModel
 from relnav_graph.state import CHASER_ATTITUDE, CHASER_POSITION, Block
 from relnav_graph.units import Quantity
@@ -19,13 +19,13 @@ from relnav_graph.units import Quantity
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (3,): predicted minus measured position. x = (r_c_i) or, with an antenna away from
     the chaser's origin, (r_c_i, R_ic); p: its place in c."""
-    so3.put(H, 0, 0, so3.identity(3), 1.0)
+    dense.put_block(H, 0, 0, dense.identity(3), 1.0)
     for i in range(3):
         r[i] = x[i] - z[i]
     if x.shape[0] > 3:
-        R_ic = so3.matrix_at(x, 3)
-        so3.put_vector(r, 0, so3.add_vector(r, so3.rotate(R_ic, p), 1.0))
-        so3.put(H, 0, 3, so3.multiply(R_ic, so3.skew(p)), -1.0)
+        R_ic = dense.matrix_at(x, 3)
+        dense.put_vector(r, 0, dense.add_scaled_vector(r, dense.matvec(R_ic, p), 1.0))
+        dense.put_block(H, 0, 3, dense.matmul(R_ic, so3.skew(p)), -1.0)
     return 0
 
 

@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH
 from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.maths import dense
 from relnav_graph.models import Measurement, SensorModel
 from relnav_graph.state import CHASER_POSITION, Block
 from relnav_graph.units import Quantity
@@ -28,10 +28,10 @@ _SHORTEST = 1e6
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (1,): |r_c - r_g| + b - measured. x = (r_c_i, b); z = (pseudorange, r_g_i)."""
-    line = so3.vector_at(x, 0)
+    line = dense.vector_at(x, 0)
     for i in range(3):
         line[i] -= z[1 + i]
-    distance = so3.norm(line)
+    distance = dense.norm(line)
     if distance == 0.0:
         return 1
     r[0] = distance + x[3] - z[0]

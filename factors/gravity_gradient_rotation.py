@@ -7,12 +7,12 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.orbit import KeplerOrbit, chief_motion
 from relnav_graph.models import DynamicsModel
-from relnav_graph.orbit import KeplerOrbit, chief_motion
 from relnav_graph.state import TARGET_ATTITUDE, TARGET_RATE, Block
 from relnav_graph.units import Quantity
 
@@ -29,15 +29,15 @@ def gradient_torque(p: Array, t: float, R_it: Array) -> tuple[Array, Array]:
     p: orbit (4,), R_ip (9): its perifocal axes, J (9), J^-1 (9), then those of
     `EulerRotation`.
     """
-    motion, J = chief_motion(p, t), so3.matrix_at(p, 13)
-    R_ip, u_i = so3.matrix_at(p, 4), np.empty(3)
+    motion, J = chief_motion(p, t), dense.matrix_at(p, 13)
+    R_ip, u_i = dense.matrix_at(p, 4), np.empty(3)
     for i in range(3):
         u_i[i] = np.cos(motion[2]) * R_ip[i, 0] + np.sin(motion[2]) * R_ip[i, 1]
-    u = so3.unrotate(R_it, u_i)
-    scale, Ju, turned = 3 * p[3] / motion[0] ** 3, so3.rotate(J, u), so3.skew(u)
+    u = dense.transposed_matvec(R_it, u_i)
+    scale, Ju, turned = 3 * p[3] / motion[0] ** 3, dense.matvec(J, u), so3.skew(u)
     # d(u) = u x d: d(u x J u) = ([u x] J - [J u x]) [u x] d.
-    slope = so3.add(so3.multiply(turned, J), so3.skew(Ju), -1.0)
-    slope = so3.multiply(slope, turned)
+    slope = dense.add_scaled(dense.matmul(turned, J), so3.skew(Ju), -1.0)
+    slope = dense.matmul(slope, turned)
     torque = so3.cross(u, Ju)
     for i in range(3):
         torque[i] *= scale
@@ -51,13 +51,13 @@ def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> 
     """The rate (3,) after the torque of time t has acted for h seconds; total (6, n):
     sensitivities, brought up to date in place."""
     torque, slope = gradient_torque(p, t, R_it)
-    inverse = so3.matrix_at(p, 22)
-    slope = so3.multiply(inverse, slope)
+    inverse = dense.matrix_at(p, 22)
+    slope = dense.matmul(inverse, slope)
     for j in range(total.shape[1]):
         for i in range(3):
             for k in range(3):
                 total[3 + i, j] += h * slope[i, k] * total[k, j]
-    return so3.add_vector(w, so3.rotate(inverse, torque), h)
+    return dense.add_scaled_vector(w, dense.matvec(inverse, torque), h)
 
 
 @jit
@@ -69,28 +69,28 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     steps = step_count(length, p[37])
     h = length / steps
     free, one, y = p[31:], np.array([[h]]), x.copy()
-    total, noise = so3.identity(6), np.zeros((6, 6))
+    total, noise = dense.identity(6), np.zeros((6, 6))
     step_F, step_Q, after = np.empty((6, 6)), np.empty((6, 6)), np.empty(12)
     for n in range(steps):
-        kicked = so3.identity(6)
-        w = _kick(p, t + n * h, 0.5 * h, so3.matrix_at(y, 0), so3.vector_at(y, 9), kicked)
-        so3.put_vector(y, 9, w)
+        kicked = dense.identity(6)
+        w = _kick(p, t + n * h, 0.5 * h, dense.matrix_at(y, 0), dense.vector_at(y, 9), kicked)
+        dense.put_vector(y, 9, w)
         free_rotation(free, t + n * h, one, y, after, step_F, step_Q)
-        kicked = so3.multiply(step_F, kicked)
-        last = so3.identity(6)
-        R_it, w = so3.matrix_at(after, 0), so3.vector_at(after, 9)
+        kicked = dense.matmul(step_F, kicked)
+        last = dense.identity(6)
+        R_it, w = dense.matrix_at(after, 0), dense.vector_at(after, 9)
         w = _kick(p, t + (n + 1) * h, 0.5 * h, R_it, w, last)
-        so3.put_vector(after, 9, w)
-        step = so3.multiply(last, kicked)
-        total = so3.multiply(step, total)
-        added = so3.propagate_covariance(last, step_Q)
-        noise = so3.add(so3.propagate_covariance(step, noise), added, 1.0)
+        dense.put_vector(after, 9, w)
+        step = dense.matmul(last, kicked)
+        total = dense.matmul(step, total)
+        added = dense.propagate_covariance(last, step_Q)
+        noise = dense.add_scaled(dense.propagate_covariance(step, noise), added, 1.0)
         for i in range(12):
             y[i] = after[i]
     for i in range(12):
         x_next[i] = y[i]
-    so3.put(F, 0, 0, total, 1.0)
-    so3.put(Q, 0, 0, noise, 1.0)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 

@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.models import DynamicsModel
-from relnav_graph.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE, Block
 from relnav_graph.units import Quantity
 
@@ -28,8 +28,8 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     Attitude and bias noise are correlated: the bias walks while the attitude turns. p[10]: T, s,
     after which the bias forgets.
     """
-    R_oc, b = so3.matrix_at(x, 0), so3.vector_at(x, 9)
-    total, noise, step = so3.identity(6), np.zeros((6, 6)), so3.identity(6)
+    R_oc, b = dense.matrix_at(x, 0), dense.vector_at(x, 9)
+    total, noise, step = dense.identity(6), np.zeros((6, 6)), dense.identity(6)
     turn = np.empty(3)
     for row in range(u.shape[0]):
         dt = u[row, 0]
@@ -38,13 +38,13 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         for i in range(3):
             turn[i] = u[row, 1 + i] * dt - b[i] * counts
         ahead = so3.exp(turn)
-        so3.put(R_oc, 0, 0, so3.multiply(R_oc, ahead), 1.0)
+        dense.put_block(R_oc, 0, 0, dense.matmul(R_oc, ahead), 1.0)
         for i in range(3):
             for j in range(3):
                 step[i, j] = ahead[j, i]
             step[3 + i, 3 + i] = kept
             b[i] *= kept
-        so3.put(step, 0, 3, so3.right_jacobian(turn), -counts)
+        dense.put_block(step, 0, 3, so3.right_jacobian(turn), -counts)
         carry(step, total, noise)
         for i in range(3):
             v, w = p[4 + i], p[7 + i]
@@ -52,11 +52,11 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             noise[i, 3 + i] -= w * w * joint
             noise[3 + i, i] -= w * w * joint
             noise[3 + i, 3 + i] += w * w * own
-    R_next = so3.multiply(frame_rotation(p, t, t + duration(u)), R_oc)
-    so3.put_matrix(x_next, 0, so3.project(R_next))
-    so3.put_vector(x_next, 9, b)
-    so3.put(F, 0, 0, total, 1.0)
-    so3.put(Q, 0, 0, noise, 1.0)
+    R_next = dense.matmul(frame_rotation(p, t, t + duration(u)), R_oc)
+    dense.put_matrix(x_next, 0, so3.project(R_next))
+    dense.put_vector(x_next, 9, b)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 

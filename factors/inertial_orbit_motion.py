@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 from relnav_graph.state import CHASER_POSITION, CHASER_VELOCITY, Block
 
 from ._driven_orbit import DrivenOrbit, drive
@@ -23,11 +23,11 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     y = np.empty(6)
     for i in range(6):
         y[i] = x[i]
-    R_ic, b_g, b_f = so3.matrix_at(x, 6), so3.vector_at(x, 15), so3.vector_at(x, 18)
+    R_ic, b_g, b_f = dense.matrix_at(x, 6), dense.vector_at(x, 15), dense.vector_at(x, 18)
     y, S, noise = drive(p, u, y, R_ic, b_g, b_f)
-    so3.put_vector(x_next, 0, y)
-    so3.put(F, 0, 0, S, 1.0)
-    so3.put(Q, 0, 0, noise, 1.0)
+    dense.put_vector(x_next, 0, y)
+    dense.put_block(F, 0, 0, S, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 

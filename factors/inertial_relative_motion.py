@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 from relnav_graph.state import (
     CHASER_POSITION,
     CHASER_VELOCITY,
@@ -29,7 +29,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     y = np.empty(12)
     for i in range(6):
         y[i], y[6 + i] = x[i], x[21 + i]
-    R_ic, b_g, b_f = so3.matrix_at(x, 6), so3.vector_at(x, 15), so3.vector_at(x, 18)
+    R_ic, b_g, b_f = dense.matrix_at(x, 6), dense.vector_at(x, 15), dense.vector_at(x, 18)
     y, S, noise = drive(p, u, y, R_ic, b_g, b_f)
     for i in range(6):
         x_next[i] = y[i]
@@ -37,7 +37,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             F[i, j], F[i, 6 + OTHERS + j] = S[i, j], S[i, 6 + j]
         for j in range(OTHERS):
             F[i, 6 + j] = S[i, 12 + j]
-    so3.put(Q, 0, 0, noise, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 

@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import Measurement
 from relnav_graph.state import CHASER_ATTITUDE, RELATIVE_POSITION, Block
 from relnav_graph.units import Quantity
@@ -29,19 +29,19 @@ def target_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
 
     x: r_tc_o (3,), then maybe R_oc (9,); the Jacobian is (3, 3) or (3, 6).
     """
-    r_ct_o = so3.vector_at(x, 0)
+    r_ct_o = dense.vector_at(x, 0)
     for i in range(3):
         r_ct_o[i] = -r_ct_o[i]
     turns = x.shape[0] > 3
-    R_os = so3.multiply(so3.matrix_at(x, 3), R_cs) if turns else R_cs
+    R_os = dense.matmul(dense.matrix_at(x, 3), R_cs) if turns else R_cs
     jacobian = np.zeros((3, 6 if turns else 3))
     for i in range(3):
         for j in range(3):
             jacobian[i, j] = -R_os[j, i]
     if turns:  # R_oc Exp(d): the target turns by -d in c
-        r_ct_c = so3.unrotate(so3.matrix_at(x, 3), r_ct_o)
-        so3.put(jacobian, 0, 3, so3.transpose_multiply(R_cs, so3.skew(r_ct_c)), 1.0)
-    return so3.unrotate(R_os, r_ct_o), jacobian
+        r_ct_c = dense.transposed_matvec(dense.matrix_at(x, 3), r_ct_o)
+        dense.put_block(jacobian, 0, 3, dense.transposed_matmul(R_cs, so3.skew(r_ct_c)), 1.0)
+    return dense.transposed_matvec(R_os, r_ct_o), jacobian
 
 
 @jit
@@ -50,13 +50,13 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
     p: R_cs row by row; z: range and unit vector (4,), see `LaserRangeAngles.accept`.
     """
-    s, ds = target_in_sensor(so3.matrix_at(p, 0), x)
-    to_line = so3.add(ds, ds, 0.0)
+    s, ds = target_in_sensor(dense.matrix_at(p, 0), x)
+    to_line = dense.add_scaled(ds, ds, 0.0)
     b, distance = direction(s, to_line)
     r[0] = distance - z[0]
     for j in range(ds.shape[1]):
         H[0, j] = b[0] * ds[0, j] + b[1] * ds[1, j] + b[2] * ds[2, j]
-    return sphere_residual(so3.vector_at(z, 1), b, to_line, 1, r, H)
+    return sphere_residual(dense.vector_at(z, 1), b, to_line, 1, r, H)
 
 
 def _lines(z: Array) -> Array:

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import CHASER_POSITION, CHASER_VELOCITY, Block
 from relnav_graph.units import Quantity
@@ -21,12 +21,12 @@ from ._white_noise import duration
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r_c_i, v_c_i). p: field, position and acceleration density, longest step."""
-    S, nothing = so3.identity(6), np.zeros((6, 6))
+    S, nothing = dense.identity(6), np.zeros((6, 6))
     walk, white, longest = p[FIELD], p[FIELD + 1], p[FIELD + 2]
     y, total, noise = coast(p, x, S, nothing, duration(u), longest, walk, white)
-    so3.put_vector(x_next, 0, y)
-    so3.put(F, 0, 0, total, 1.0)
-    so3.put(Q, 0, 0, noise, 1.0)
+    dense.put_vector(x_next, 0, y)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import Measurement
 from relnav_graph.state import Block
 from relnav_graph.units import Quantity
@@ -29,15 +29,17 @@ def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     before, to_before = point_in_sensor(mounting, nowhere, x[:half])
     now, to_now = point_in_sensor(mounting, nowhere, x[half:])
     n = to_now.shape[1]
-    turn, slopes = turn_between(so3.matrix_at(p, 0), x[: half - 3], x[half:-3])
+    turn, slopes = turn_between(dense.matrix_at(p, 0), x[: half - 3], x[half:-3])
     to_turn = np.zeros((3, 2 * n))
     for i in range(3):
         for j in range(n - 3):
             to_turn[i, j], to_turn[i, n + j] = slopes[i, j], slopes[i, n - 3 + j]
-    line = so3.add_vector(so3.vector_at(p, 12), now, -1.0)  # from the target to the centre
-    place = so3.add_vector(before, so3.rotate(turn, line), 1.0)
-    to_place = so3.multiply(so3.multiply(turn, so3.skew(line)), to_turn)
-    turned_now = so3.multiply(turn, to_now)
+    line = dense.add_scaled_vector(
+        dense.vector_at(p, 12), now, -1.0
+    )  # from the target to the centre
+    place = dense.add_scaled_vector(before, dense.matvec(turn, line), 1.0)
+    to_place = dense.matmul(dense.matmul(turn, so3.skew(line)), to_turn)
+    turned_now = dense.matmul(turn, to_now)
     for i in range(3):
         for j in range(n):
             to_place[i, j] = to_before[i, j] - to_place[i, j]
@@ -52,11 +54,11 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     turn, place, to_turn, to_place = pose_between(p, x)
     R_measured, angles = so3.from_quaternion(z[3:]), np.empty(3)
     slope = attitude_residual(z[3:], turn, angles)
-    measured = so3.add_vector(so3.rotate(R_measured, so3.vector_at(p, 12)), z[:3], 1.0)
-    so3.put_vector(r, 0, so3.add_vector(place, measured, -1.0))
-    so3.put_vector(r, 3, angles)
-    so3.put(H, 0, 0, to_place, 1.0)
-    so3.put(H, 3, 0, so3.multiply(slope, to_turn), 1.0)
+    measured = dense.add_scaled_vector(dense.matvec(R_measured, dense.vector_at(p, 12)), z[:3], 1.0)
+    dense.put_vector(r, 0, dense.add_scaled_vector(place, measured, -1.0))
+    dense.put_vector(r, 3, angles)
+    dense.put_block(H, 0, 0, to_place, 1.0)
+    dense.put_block(H, 3, 0, dense.matmul(slope, to_turn), 1.0)
     return 0
 
 

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import Block
 from relnav_graph.units import Quantity
@@ -28,8 +28,8 @@ def previous_blocks(pose: Pose) -> tuple[Block, ...]:
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (pose of before, pose at the start of the interval). p: period or 0, two sigmas."""
     n, size = Q.shape[0], x_next.shape[0]
-    so3.put(F, 0, 0, np.zeros(F.shape), 1.0)
-    so3.put(Q, 0, 0, np.zeros((n, n)), 1.0)
+    dense.put_block(F, 0, 0, np.zeros(F.shape), 1.0)
+    dense.put_block(Q, 0, 0, np.zeros((n, n)), 1.0)
     cycles = t / p[0] if p[0] > 0.0 else 0.0
     held = abs(cycles - np.round(cycles)) > 1e-6  # between two copies
     for i in range(size):

@@ -8,9 +8,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
 from relnav_graph.state import CHASER_ATTITUDE, RELATIVE_ATTITUDE, TARGET_ATTITUDE, Block
 
 from ._attitude import AttitudeSensor, attitude_residual
@@ -19,15 +19,15 @@ from ._attitude import AttitudeSensor, attitude_residual
 @jit
 def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
     """R_st (3, 3) and R_tc. p: R_cs, and whether x = (R_tc) or (R_ot) where it is one."""
-    first = so3.matrix_at(x, 0)
+    first = dense.matrix_at(x, 0)
     if x.shape[0] == 18:
-        R_tc = so3.transpose_multiply(so3.matrix_at(x, 9), first)
+        R_tc = dense.transposed_matmul(dense.matrix_at(x, 9), first)
     elif p[9] != 0.0:
-        R_tc = so3.transpose_multiply(first, so3.identity(3))
+        R_tc = dense.transposed_matmul(first, dense.identity(3))
     else:
         R_tc = first
-    R_ts = so3.multiply(R_tc, so3.matrix_at(p, 0))
-    return so3.transpose_multiply(R_ts, so3.identity(3)), R_tc
+    R_ts = dense.matmul(R_tc, dense.matrix_at(p, 0))
+    return dense.transposed_matmul(R_ts, dense.identity(3)), R_tc
 
 
 @jit
@@ -36,11 +36,11 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     predicted, R_tc = target_in_sensor(p, x)
     jacobian = attitude_residual(z, predicted, r)
     if x.shape[0] == 9 and p[9] != 0.0:
-        so3.put(H, 0, 0, jacobian, 1.0)
+        dense.put_block(H, 0, 0, jacobian, 1.0)
         return 0
-    so3.put(H, 0, 0, so3.multiply(jacobian, R_tc), -1.0)  # a turn d of c is -R_tc d of t
+    dense.put_block(H, 0, 0, dense.matmul(jacobian, R_tc), -1.0)  # a turn d of c is -R_tc d of t
     if x.shape[0] == 18:
-        so3.put(H, 0, 3, jacobian, 1.0)
+        dense.put_block(H, 0, 3, jacobian, 1.0)
     return 0
 
 

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import MATRIX, STACK
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import DerivedQuantity
 from relnav_graph.state import (
     BODY_RATE,
@@ -29,7 +29,7 @@ def _numbers(v: Array) -> Array:
 @jit
 def relative_attitude(R_oc: Array, R_ot: Array) -> tuple[Array, Array]:
     """R_tc = R_ot^T R_oc and its Jacobian (3, 6) to (R_oc, R_ot)."""
-    R_tc, jacobian = so3.transpose_multiply(R_ot, R_oc), np.zeros((3, 6))
+    R_tc, jacobian = dense.transposed_matmul(R_ot, R_oc), np.zeros((3, 6))
     for i in range(3):
         jacobian[i, i] = 1.0
         for j in range(3):
@@ -40,8 +40,8 @@ def relative_attitude(R_oc: Array, R_ot: Array) -> tuple[Array, Array]:
 @jit
 def position_in_target(R_ot: Array, r_tc_o: Array) -> tuple[Array, Array]:
     """r_tc_t = R_ot^T r_tc_o and its Jacobian (3, 6) to (R_ot, r_tc_o)."""
-    r_tc_t, jacobian = so3.unrotate(R_ot, r_tc_o), np.empty((3, 6))
-    so3.put(jacobian, 0, 0, so3.skew(r_tc_t), 1.0)
+    r_tc_t, jacobian = dense.transposed_matvec(R_ot, r_tc_o), np.empty((3, 6))
+    dense.put_block(jacobian, 0, 0, so3.skew(r_tc_t), 1.0)
     for i in range(3):
         for j in range(3):
             jacobian[i, 3 + j] = R_ot[j, i]
@@ -53,8 +53,8 @@ def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -
     """`relative_attitude` at N epochs, into the last two arguments."""
     for k in range(R_oc.shape[0]):
         one, slope = relative_attitude(R_oc[k], R_ot[k])
-        so3.put(R_tc[k], 0, 0, one, 1.0)
-        so3.put(jacobian[k], 0, 0, slope, 1.0)
+        dense.put_block(R_tc[k], 0, 0, one, 1.0)
+        dense.put_block(jacobian[k], 0, 0, slope, 1.0)
 
 
 @jit_loop(STACK, MATRIX, MATRIX, STACK)
@@ -62,8 +62,8 @@ def positions_in_target(R_ot: Array, r_tc_o: Array, r_tc_t: Array, jacobian: Arr
     """`position_in_target` at N epochs, into the last two arguments."""
     for k in range(R_ot.shape[0]):
         one, slope = position_in_target(R_ot[k], r_tc_o[k])
-        so3.put_vector(r_tc_t[k], 0, one)
-        so3.put(jacobian[k], 0, 0, slope, 1.0)
+        dense.put_vector(r_tc_t[k], 0, one)
+        dense.put_block(jacobian[k], 0, 0, slope, 1.0)
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import (
     CHASER_POSITION,
@@ -27,13 +27,13 @@ from ._white_noise import duration
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r_tc_i, v_tc_i, r_c_i, v_c_i). p: field, acceleration density, longest step."""
-    S, nothing = so3.identity(12), np.zeros((6, 6))
+    S, nothing = dense.identity(12), np.zeros((6, 6))
     y, total, noise = coast(p, x, S, nothing, duration(u), p[FIELD + 1], 0.0, p[FIELD])
     for i in range(6):
         x_next[i] = y[i]
         for j in range(12):
             F[i, j] = total[i, j]
-    so3.put(Q, 0, 0, noise, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
 

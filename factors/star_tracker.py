@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
-from relnav_graph.orbit import KeplerOrbit
+from relnav_graph.maths import dense
+from relnav_graph.maths.orbit import KeplerOrbit
 from relnav_graph.state import CHASER_ATTITUDE, Block
 
 from ._attitude import AttitudeSensor, attitude_residual
@@ -20,7 +20,7 @@ from ._attitude import AttitudeSensor, attitude_residual
 @jit
 def inertial_attitude(p: Array, x: Array) -> Array:
     """R_is = R_ic R_cs, (3, 3)."""
-    return so3.multiply(so3.matrix_at(x, 0), so3.matrix_at(p, 0))
+    return dense.matmul(dense.matrix_at(x, 0), dense.matrix_at(p, 0))
 
 
 @jit

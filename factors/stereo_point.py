@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.errors import GeometryError
+from relnav_graph.maths import dense
 from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
 
@@ -44,8 +44,8 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
     if point_s[2] <= 0.0:
         return 1
     pixels, dpixels = project_stereo(p, point_s)
-    so3.put_vector(r, 0, so3.add_vector(pixels, z, -1.0))
-    so3.put(H, 0, 0, so3.multiply(dpixels, jacobian), 1.0)
+    dense.put_vector(r, 0, dense.add_scaled_vector(pixels, z, -1.0))
+    dense.put_block(H, 0, 0, dense.matmul(dpixels, jacobian), 1.0)
     return 0
 
 
@@ -53,8 +53,8 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
 def cartesian_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """r (3,): predicted minus measured position in sensor axes."""
     point_s, jacobian = point_in_sensor(p, q, x)
-    so3.put_vector(r, 0, so3.add_vector(point_s, z, -1.0))
-    so3.put(H, 0, 0, jacobian, 1.0)
+    dense.put_vector(r, 0, dense.add_scaled_vector(point_s, z, -1.0))
+    dense.put_block(H, 0, 0, jacobian, 1.0)
     return 0
 
 

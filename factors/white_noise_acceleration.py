@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense
 from relnav_graph.models import DynamicsModel
 from relnav_graph.state import (
     RELATIVE_POSITION,
@@ -28,8 +28,8 @@ from ._white_noise import add_integrated_white_noise, duration
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """x = (r, v)."""
     dt = duration(u)
-    so3.put(F, 0, 0, so3.identity(6), 1.0)
-    so3.put(Q, 0, 0, np.zeros((6, 6)), 1.0)
+    dense.put_block(F, 0, 0, dense.identity(6), 1.0)
+    dense.put_block(Q, 0, 0, np.zeros((6, 6)), 1.0)
     for i in range(3):
         x_next[i] = x[i] + dt * x[3 + i]
         x_next[3 + i] = x[3 + i]

@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK
 from relnav_graph.filtering import NOT_POSITIVE
-from relnav_graph.matrices import (
-    product,
+from relnav_graph.maths import dense
+from relnav_graph.maths.dense import (
+    copy,
+    matmul_into,
     sandwich,
     scaled_cholesky,
     solve_lower,
     solve_lower_transposed,
 )
-from relnav_graph.state import local, retract
-from relnav_graph.updating import copy, to_tangent
+from relnav_graph.maths.manifold import local, retract
+from relnav_graph.updating import to_tangent
 
 __all__ = ["backward"]
 
@@ -52,7 +53,7 @@ def backward(
         if not scaled_cholesky(P_predicted[k + 1], scale, L):
             failure[0], failure[3] = NOT_POSITIVE, k + 1
             return
-        product(F[k + 1], P[k], gain_T)
+        matmul_into(F[k + 1], P[k], gain_T)
         for i in range(n):
             for j in range(n):
                 gain_T[i, j] /= scale[i]
@@ -62,7 +63,7 @@ def backward(
             for j in range(n):
                 gain[j, i] = gain_T[i, j] / scale[i]
         d = local(x_predicted[k + 1], xs[k + 1], kinds, n)
-        move = so3.rotate(gain, d)
+        move = dense.matvec(gain, d)
         smoothed = retract(x[k], move, kinds)
         for i in range(xs.shape[1]):
             xs[k, i] = smoothed[i]

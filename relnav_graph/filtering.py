@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
 from relnav_graph.loops import TABLES, Tables, observe, propagate, rows_of
-from relnav_graph.matrices import cholesky, sandwich, solve_lower
-from relnav_graph.robust import root_weight
-from relnav_graph.updating import column_squares, copy, innovation_covariance, misfit, robust_update
+from relnav_graph.maths import dense
+from relnav_graph.maths.dense import cholesky, column_squares, copy, sandwich, solve_lower
+from relnav_graph.maths.losses import root_weight
+from relnav_graph.updating import innovation_covariance, misfit, robust_update
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
 
@@ -119,14 +119,14 @@ def filter_epochs(
             if status != 0:
                 failure[0], failure[1], failure[2] = PROPAGATED, a, status
                 return
-            so3.put_vector(xk, 0, x_predicted[k])
+            dense.put_vector(xk, 0, x_predicted[k])
             sandwich(F[slot], Pk, P_predicted[k])
             for i in range(n):
                 for j in range(n):
                     P_predicted[k, i, j] += Q[0, i, j]
             copy(P_predicted[k], Pk)
         else:
-            so3.put_vector(x_predicted[k], 0, xk)
+            dense.put_vector(x_predicted[k], 0, xk)
             copy(Pk, P_predicted[k])
         first, last = epoch_offsets[k], epoch_offsets[k + 1]
         start, stop = row_offsets[k], row_offsets[k + 1]
@@ -167,7 +167,7 @@ def filter_epochs(
                 failure[0] = NOT_POSITIVE
             if failure[0] != 0:
                 return
-        so3.put_vector(x[k], 0, xk)
+        dense.put_vector(x[k], 0, xk)
         copy(Pk, P[k])
         sound = _finite(xk)
         for i in range(n):
@@ -201,7 +201,7 @@ def _measured_epoch(
     for i in range(last - first):
         weight[i] = 1.0
     at = np.empty((1, x.shape[0]))
-    so3.put_vector(at[0], 0, x)
+    dense.put_vector(at[0], 0, x)
     observe(tables, first, last, k, at, weight, r, H, status)
     for i in range(last - first):
         if status[i] < 0:

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import (
@@ -29,8 +28,9 @@ from relnav_graph.compiled.contracts import (
     call_dynamics,
     call_sensor,
 )
-from relnav_graph.matrices import product, scaled_cholesky, solve_lower
-from relnav_graph.state import local, times_jacobian, times_transposed_jacobian
+from relnav_graph.maths import dense
+from relnav_graph.maths.dense import matmul_into, scaled_cholesky, solve_lower
+from relnav_graph.maths.manifold import local, times_jacobian, times_transposed_jacobian
 
 __all__ = [
     "BROKEN",
@@ -290,7 +290,7 @@ def whitening(tables: Tables, Q: Array, whiten: Array, failure: Indices) -> None
             if not scaled_cholesky(own, scale, L):
                 failure[0], failure[1], failure[2] = k, a, 1
                 return
-            inverse = so3.identity(n)
+            inverse = dense.identity(n)
             solve_lower(L, inverse)
             for i in range(n):
                 for j in range(n):
@@ -312,7 +312,7 @@ def interval_row(
             B[i, j] = whiten[i, j]
     times_transposed_jacobian(left, error, kinds, True)
     times_jacobian(B, error, kinds, True)
-    product(left, F, A)
+    matmul_into(left, F, A)
 
 
 @jit_loop(MATRIX, MATRIX, STACK, STACK, INDEX_MATRIX, MATRIX, STACK, STACK)

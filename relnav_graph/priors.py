@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
+from relnav_graph.maths import so3
 from relnav_graph.problem import Prior
 from relnav_graph.settings import BlockPrior, Problems, ScenarioFile
 from relnav_graph.state import Block, Layout

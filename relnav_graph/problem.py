@@ -13,8 +13,8 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError, ModelError
+from relnav_graph.maths.losses import Loss
 from relnav_graph.models import Dynamics, Measurement, Sensor, check_inputs
-from relnav_graph.robust import Loss
 from relnav_graph.state import Layout
 
 __all__ = ["Epoch", "InputSeries", "Prior", "Problem", "make_epochs"]

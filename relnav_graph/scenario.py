@@ -17,12 +17,12 @@ from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.initialise import initialise
 from relnav_graph.magnitude import wrong_unit
+from relnav_graph.maths.losses import Loss
 from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.priors import check_prior, make_prior
 from relnav_graph.problem import Epoch, Prior, Problem, layout_of, make_epochs
 from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
-from relnav_graph.robust import Loss
 from relnav_graph.settings import (
     MISSING,
     Problems,

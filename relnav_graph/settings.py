@@ -25,8 +25,8 @@ from pydantic import (
 
 from relnav_graph import models, sim
 from relnav_graph.errors import InputError, ModelError
+from relnav_graph.maths.losses import LossKind
 from relnav_graph.registry import classes, find_class
-from relnav_graph.robust import LossKind
 from relnav_graph.units import Quantity, parse_quantity
 
 __all__ = [

@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numba import types
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
 from relnav_graph.errors import EstimationError
 from relnav_graph.loops import TABLES, Tables, interval_row, observe, propagate
-from relnav_graph.matrices import SPARE, householder, inverse_upper, sandwich
+from relnav_graph.maths import dense
+from relnav_graph.maths.dense import SPARE, householder, inverse_upper, sandwich
 from relnav_graph.noise import inverse_cholesky
 from relnav_graph.problem import Prior
 from relnav_graph.state import Layout
@@ -59,7 +59,7 @@ def anchor_of(prior: Prior) -> Anchor:
 def _put_rows(a: Array, row: int, e: Array, A: Array) -> float:
     """Write rows ``A d = -e``, from `row` on; their squared length."""
     squares, n = 0.0, A.shape[1]
-    so3.put(a, row, 0, A, 1.0)
+    dense.put_block(a, row, 0, A, 1.0)
     for i in range(e.shape[0]):
         a[row + i, n] = -e[i]
         squares += e[i] * e[i]
@@ -132,7 +132,7 @@ def _sweep(
             for i in range(n):
                 for j in range(n + 1, 2 * n + 1):
                     a[i, j] = 0.0
-            so3.put(a, n, n + 1, B, 1.0)
+            dense.put_block(a, n, n + 1, B, 1.0)
             squares += _put_rows(a, n, e, A)
             householder(a, n, n, 2 * n, 2 * n + 1)
         for i in range(n):
@@ -169,7 +169,7 @@ def _covariances(R: Array, S: Array, P: Array, known: int) -> None:
     """P_k = R^-1 (I + S P_k+1 S^T) R^-T, backwards from P_N = (R^T R)^-1, or, where that is
     known better, from what P holds there."""
     count, n = R.shape[0], R.shape[1]
-    inner = so3.identity(n)
+    inner = dense.identity(n)
     if not known:
         sandwich(inverse_upper(R[count - 1]), inner, P[count - 1])
     for k in range(count - 2, -1, -1):

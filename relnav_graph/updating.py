@@ -7,26 +7,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.loops import Tables, observe, rows_of
-from relnav_graph.matrices import (
+from relnav_graph.maths import dense
+from relnav_graph.maths.dense import (
     SPARE,
+    column_squares,
+    copy,
     householder,
     inverse_upper,
-    product,
+    matmul_into,
     scaled_cholesky,
     solve_lower,
+    sum_of_squares,
     symmetrize,
-    transpose,
+    transpose_in_place,
 )
-from relnav_graph.robust import HUBER, root_weight
-from relnav_graph.state import local, retract, times_jacobian, times_transposed_jacobian
+from relnav_graph.maths.losses import HUBER, root_weight
+from relnav_graph.maths.manifold import local, retract, times_jacobian, times_transposed_jacobian
 
 __all__ = [
-    "column_squares",
-    "copy",
     "innovation_covariance",
     "misfit",
     "robust_update",
@@ -36,32 +37,6 @@ __all__ = [
 #: Rounds of reweighting, at most; the first ones with a convex loss; and the change of a
 #: weight's root that ends them.
 ROUNDS, CONVEX_ROUNDS, WEIGHT_TOLERANCE = 40, 4, 1e-3
-
-
-@jit
-def copy(a: Array, out: Array) -> None:
-    """``out = a``."""
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            out[i, j] = a[i, j]
-
-
-@jit
-def sum_of_squares(v: Array) -> float:
-    """``v^T v``."""
-    out = 0.0
-    for i in range(v.shape[0]):
-        out += v[i] * v[i]
-    return out
-
-
-@jit
-def column_squares(a: Array, first: int, column: int) -> float:
-    """The sum of squares of a column, from the row `first` on."""
-    out = 0.0
-    for i in range(first, a.shape[0]):
-        out += a[i, column] * a[i, column]
-    return out
 
 
 @jit
@@ -78,7 +53,7 @@ def _squared_length(L: Array, scale: Array, d: Array) -> float:
 def innovation_covariance(H: Array, P: Array, S: Array) -> None:
     """``S = H P H^T + I``, symmetric."""
     HP = np.empty((H.shape[0], H.shape[1]))
-    product(H, P, HP)
+    matmul_into(H, P, HP)
     for i in range(H.shape[0]):
         for j in range(i + 1):
             value = 1.0 if i == j else 0.0
@@ -97,11 +72,11 @@ def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
     """
     n, rows = C.shape[0], H.shape[0]
     G = np.empty((rows, n))
-    product(H, C, G)
+    matmul_into(H, C, G)
     for i in range(n + rows):
         for j in range(a.shape[1]):
             a[i, j] = 1.0 if i == j and j < n else 0.0
-    so3.put(a, n, 0, G, 1.0)
+    dense.put_block(a, n, 0, G, 1.0)
     for i in range(rows):
         a[n + i, n] = -innovation[i]
     householder(a, n, n, n + rows, n + 1)
@@ -117,7 +92,7 @@ def _solution(C: Array, a: Array) -> Array:
         for j in range(i + 1, n):
             y[i] -= a[i, j] * y[j]
         y[i] /= a[i, i]
-    return so3.rotate(C, y)
+    return dense.matvec(C, y)
 
 
 @jit
@@ -128,7 +103,7 @@ def _covariance(C: Array, a: Array, P: Array) -> None:
     for i in range(n):
         for j in range(n):
             R[i, j] = a[i, j] if j >= i else 0.0
-    product(C, inverse_upper(R), half)
+    matmul_into(C, inverse_upper(R), half)
     for i in range(n):
         for j in range(i + 1):
             value = 0.0
@@ -157,7 +132,7 @@ def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
     """``P = J P J^T``: a covariance moved to the tangent of the state that is d away (or,
     inverse, from there). Exactly symmetric."""
     times_transposed_jacobian(P, d, kinds, inverse)
-    transpose(P)
+    transpose_in_place(P)
     times_transposed_jacobian(P, d, kinds, inverse)
     symmetrize(P)
 
@@ -205,7 +180,7 @@ def update(
         for j in range(n):
             C[i, j] = scale[i] * L[i, j]
     at, step, e = np.empty((1, x.shape[0])), np.empty((1, n)), np.zeros(n)
-    so3.put_vector(at[0], 0, x)
+    dense.put_vector(at[0], 0, x)
     observe(tables, first, last, epoch, at, weight, r, H, status)
     cost = sum_of_squares(r)
     for _ in range(iterations):
@@ -221,14 +196,14 @@ def update(
             step[0, j] = ahead[j] - e[j]
         times_transposed_jacobian(step, e, kinds, False)  # to the tangent of x
         if iterations == 1:
-            so3.put_vector(x, 0, retract(x, step[0], kinds))
+            dense.put_vector(x, 0, retract(x, step[0], kinds))
             break
         found = False
         for _halving in range(10):
-            so3.put_vector(at[0], 0, retract(x, step[0], kinds))
+            dense.put_vector(at[0], 0, retract(x, step[0], kinds))
             observe(tables, first, last, epoch, at, weight, r_try, H_try, status_try)
             if _possible(status, status_try):
-                so3.put_vector(e, 0, local(x0, at[0], kinds, n))
+                dense.put_vector(e, 0, local(x0, at[0], kinds, n))
                 cost_try = _squared_length(L, scale, e) + sum_of_squares(r_try)
                 if cost_try <= cost * (1 + 1e-9) + 1e-9:
                     found = True
@@ -238,10 +213,10 @@ def update(
         if not found:  # no way down from here: x is the best there is
             break
         # The length of the step in sigmas of the posterior; the next would be its square.
-        length2 = _squared_length(L, scale, step[0]) + sum_of_squares(so3.rotate(H, step[0]))
+        length2 = _squared_length(L, scale, step[0]) + sum_of_squares(dense.matvec(H, step[0]))
         cost = cost_try
-        so3.put_vector(x, 0, at[0])
-        so3.put_vector(r, 0, r_try)
+        dense.put_vector(x, 0, at[0])
+        dense.put_vector(r, 0, r_try)
         copy(H_try, H)
         for i in range(last - first):
             status[i] = status_try[i]
@@ -293,13 +268,13 @@ def robust_update(
             weight[i] = root
         if turn > CONVEX_ROUNDS and change < WEIGHT_TOLERANCE:
             break
-        so3.put_vector(x, 0, x0)
+        dense.put_vector(x, 0, x0)
         copy(P0, P)
         if not update(tables, kinds, epoch, first, last, rows, iterations, weight, x, P):
             return False
         if not robust:
             break
-        so3.put_vector(at[0], 0, x)
+        dense.put_vector(at[0], 0, x)
         observe(tables, first, last, epoch, at, chosen, r, H, status)
         for i in range(count):
             start, height = rows_of(tables.observations, tables.sensors, first, i)

@@ -39,9 +39,9 @@ from factors.relative_two_body import RelativeTwoBody
 from factors.star_tracker import StarTracker
 from factors.stereo_point import StereoPoint, StereoPointCartesian
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
-from relnav_graph import so3
 from relnav_graph.arrays import Array
-from relnav_graph.orbit import KeplerOrbit
+from relnav_graph.maths import so3
+from relnav_graph.maths.orbit import KeplerOrbit
 
 
 @dataclass(frozen=True)

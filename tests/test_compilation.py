@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relnav_graph import so3
-from relnav_graph.matrices import product
+from relnav_graph.maths import dense
+from relnav_graph.maths.dense import matmul_into
 
 #: Prints what f(9) gives, then the functions that were compiled for it.
 PROGRAM = """
@@ -158,8 +158,8 @@ def test_python_may_call_what_compiled_code_calls(package: Path) -> None:
         assert result(start(package, program)) == ["3.0", "9.0", "3.0", "4.0", "12.0", "3.0"]
     one, out = 2 * np.eye(3), np.empty((3, 3))
     for _ in range(2):
-        product(one, one, out)
-        np.testing.assert_array_equal(so3.multiply(one, one), out)
+        matmul_into(one, one, out)
+        np.testing.assert_array_equal(dense.matmul(one, one), out)
 
 
 def test_another_process_gets_a_function_by_its_name(package: Path) -> None:

@@ -22,11 +22,11 @@ from test_conformance import DYNAMICS, SENSORS, looks, seed_of, sizes
 from test_conformance_dynamics import Interval, intervals, layout_of, transition
 
 from factors.stereo_point import StereoPointCartesian
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.graph import insert_block, measurement_factor, process_factor, read_block
+from relnav_graph.maths import so3
 from relnav_graph.models import Measurement
 from relnav_graph.problem import Epoch
 from relnav_graph.state import Block, Layout

@@ -10,10 +10,10 @@ import pytest
 from examples import HU_INERTIA
 
 from factors.gravity_gradient_rotation import GravityGradientRotation
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
+from relnav_graph.maths import so3
 from relnav_graph.sim.attitude_tracking import AttitudeTracking
 from relnav_graph.sim.controlled_bodies import ControlledBodies
 

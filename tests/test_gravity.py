@@ -11,7 +11,7 @@ from factors.orbit_two_body import OrbitTwoBody
 from factors.relative_two_body import RelativeTwoBody
 from relnav_graph.arrays import Array
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
-from relnav_graph.orbit import two_body
+from relnav_graph.maths.orbit import two_body
 
 PLACE = np.array([2.1e6, -5.3e6, 4.4e6])
 

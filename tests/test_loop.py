@@ -12,7 +12,7 @@ import pytest
 from passes import EXPERIMENTS, relnav, truth_of
 
 from factors.relative_attitude import VisionAttitude
-from relnav_graph import sim, so3
+from relnav_graph import sim
 from relnav_graph.deviation import errors
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
@@ -20,6 +20,7 @@ from relnav_graph.estimators.ekf import Ekf
 from relnav_graph.estimators.source import Source
 from relnav_graph.io.results import read_results
 from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
+from relnav_graph.maths import so3
 from relnav_graph.metrics import summary
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario, read_toml
 from relnav_graph.state import CHASER_ATTITUDE

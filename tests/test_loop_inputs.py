@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from passes import truth_of
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.deviation import errors
 from relnav_graph.errors import InputError
 from relnav_graph.loop import fly
+from relnav_graph.maths import so3
 from relnav_graph.scenario import make_scenario
 from relnav_graph.state import CHASER_ATTITUDE, Block
 from relnav_graph.track import Truth

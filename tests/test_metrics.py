@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.deviation import chi2_band, nees
 from relnav_graph.errors import InputError
+from relnav_graph.maths import so3
 from relnav_graph.metrics import (
     errors,
     estimates,

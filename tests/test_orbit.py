@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
-from relnav_graph.frames import rtn_from_inertial, xiong_from_rtn
-from relnav_graph.orbit import (
+from relnav_graph.maths.frames import rtn_from_inertial, xiong_from_rtn
+from relnav_graph.maths.orbit import (
     KeplerOrbit,
     chief_motion,
     frame_rotation,

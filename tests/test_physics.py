@@ -12,10 +12,10 @@ from factors.body_velocity import BodyVelocity
 from factors.eccentric_relative_motion import EccentricRelativeMotion
 from factors.euler_rotation import EulerRotation
 from factors.inertia_ratios import InertiaRatios
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
-from relnav_graph.orbit import KeplerOrbit, chief_motion, frame_rotation, relative_transition
+from relnav_graph.maths import so3
+from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, frame_rotation, relative_transition
 from relnav_graph.sim.truth import RigidBodyPair
 
 DEG = np.pi / 180

@@ -10,11 +10,11 @@ import pytest
 from passes import EXPERIMENTS
 from scipy.integrate import solve_ivp
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.loop import fly_all
+from relnav_graph.maths import so3
 from relnav_graph.scenario import load_scenario
 from relnav_graph.sim.powered_dynamics import gravity
 from relnav_graph.sim.powered_orbits import PoweredOrbits

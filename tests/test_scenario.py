@@ -13,9 +13,9 @@ import pytest
 from passes import EXPERIMENTS, ZHANG
 from scipy.special import chdtri
 
-from relnav_graph import so3
 from relnav_graph.cli import main
 from relnav_graph.errors import InputError
+from relnav_graph.maths import so3
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario
 from relnav_graph.settings import ScenarioError, override
 

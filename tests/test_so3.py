@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
+from relnav_graph.maths import dense, so3
 
 ANGLES = [0.0, 1e-12, 1e-9, 1e-4, 0.2999, 0.3001, 1.0, 3.0, np.pi - 1e-6]
 AXES = np.array([[1.0, 0, 0], [0, -1, 0], [1 / 3, 2 / 3, -2 / 3], [-0.6, 0.0, 0.8]])
@@ -173,14 +173,14 @@ def test_vector_helpers_equal_those_of_numpy() -> None:
         close(so3.cross(a, b), np.cross(a, b))
         close(so3.skew(a) @ b, np.cross(a, b))
         close(so3.skew(a).T, -so3.skew(a))
-        close(so3.transpose_multiply(m, n), m.T @ n)
-        close(so3.multiply(m, np.ascontiguousarray(n.T)), m @ n.T)
-        close(so3.rotate(np.ascontiguousarray(m.T), a), m.T @ a)
-        close(so3.unrotate(m, a), m.T @ a)
+        close(dense.transposed_matmul(m, n), m.T @ n)
+        close(dense.matmul(m, np.ascontiguousarray(n.T)), m @ n.T)
+        close(dense.matvec(np.ascontiguousarray(m.T), a), m.T @ a)
+        close(dense.transposed_matvec(m, a), m.T @ a)
 
 
 def test_stacked_equals_a_list_of_arrays_and_may_be_empty() -> None:
     turns = np.random.default_rng(3).normal(size=(50, 3))
-    found = so3.stacked((so3.exp(turn) for turn in turns), 3, 3)
+    found = dense.stacked((so3.exp(turn) for turn in turns), 3, 3)
     np.testing.assert_array_equal(found, [so3.exp(turn) for turn in turns])
-    assert so3.stacked(iter([]), 3, 3).shape == (0, 3, 3)
+    assert dense.stacked(iter([]), 3, 3).shape == (0, 3, 3)

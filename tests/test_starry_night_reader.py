@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import READERS, read_raw
+from relnav_graph.maths import so3
 from relnav_graph.recording import Recording
 
 FRAMES, POINTS = 40, 7

@@ -10,8 +10,8 @@ import pytest
 from factors._strapdown import condense
 from factors.gyro_bias import GyroBias
 from factors.inertial_orbit_motion import InertialOrbitMotion
-from relnav_graph import so3
 from relnav_graph.arrays import Array
+from relnav_graph.maths import so3
 from relnav_graph.sim.strapdown import StrapdownAccelerometer, StrapdownGyro
 
 MODEL = InertialOrbitMotion(velocity_random_walk_density=5e-4)

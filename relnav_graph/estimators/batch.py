@@ -21,8 +21,8 @@ from relnav_graph.estimators.gating import (
     thresholds,
 )
 from relnav_graph.estimators.rts import smooth
+from relnav_graph.maths.losses import Loss
 from relnav_graph.problem import Prior, Problem
-from relnav_graph.robust import Loss
 from relnav_graph.sweep import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.track import Status, Track
 

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array
 from relnav_graph.assembly import Assembly, MeasurementRows
 from relnav_graph.loops import ROWS
-from relnav_graph.robust import Loss, root_weights
+from relnav_graph.maths.losses import Loss, root_weights
 
 __all__ = [
     "count_downweighted",

@@ -16,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.state import Block
 
 __all__ = [
@@ -49,7 +49,7 @@ def to_components(block: Block, values: Array) -> Array:
     if block.manifold != "SO3":
         return np.asarray(values, dtype=np.float64)
     matrices = np.ascontiguousarray(values, dtype=np.float64)
-    return so3.stacked((so3.quaternion(matrix) for matrix in matrices), 4)
+    return dense.stacked((so3.quaternion(matrix) for matrix in matrices), 4)
 
 
 def from_components(block: Block, components: Array) -> Array:
@@ -57,7 +57,7 @@ def from_components(block: Block, components: Array) -> Array:
     if block.manifold != "SO3":
         return components
     quaternions = np.ascontiguousarray(components, dtype=np.float64)
-    return so3.stacked((so3.from_quaternion(q) for q in quaternions), 3, 3)
+    return dense.stacked((so3.from_quaternion(q) for q in quaternions), 3, 3)
 
 
 @dataclass(frozen=True, eq=False)

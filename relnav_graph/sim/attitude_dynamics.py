@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import MATRIX, VECTOR
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.maths import dense, so3
 
 __all__ = ["BODY", "ORBIT", "advance", "circular_orbit", "gravity_gradient"]
 
@@ -45,8 +45,8 @@ def gravity_gradient(orbit: Array, J: Array, t: float, q_ib: Array) -> Array:
     turn, out = orbit[1] * t, np.empty(3)
     for i in range(3):
         out[i] = np.cos(turn) * orbit[2 + i] + np.sin(turn) * orbit[5 + i]
-    u = so3.unrotate(so3.from_quaternion(q_ib), out)
-    torque = so3.cross(u, so3.rotate(J, u))
+    u = dense.transposed_matvec(so3.from_quaternion(q_ib), out)
+    torque = so3.cross(u, dense.matvec(J, u))
     for i in range(3):
         torque[i] *= 3 * orbit[1] ** 2
     return torque
@@ -59,31 +59,31 @@ def _drag_torque(orbit: Array, body: Array, t: float, q_ib: Array) -> Array:
     turn, ahead = orbit[1] * t, np.empty(3)
     for i in range(3):
         ahead[i] = np.cos(turn) * orbit[5 + i] - np.sin(turn) * orbit[2 + i]
-    v = so3.unrotate(so3.from_quaternion(q_ib), ahead)
+    v = dense.transposed_matvec(so3.from_quaternion(q_ib), ahead)
     area = 0.0
     for i in range(3):
         area += body[18 + i] * abs(v[i])
     speed = orbit[0] * orbit[1]
     for i in range(3):
         v[i] *= -0.5 * orbit[8] * speed * speed * area
-    return so3.cross(so3.vector_at(body, 21), v)
+    return so3.cross(dense.vector_at(body, 21), v)
 
 
 @jit
 def _derivative(orbit: Array, body: Array, t: float, y: Array, command: Array, out: Array) -> None:
     """y' (7,) of one body under gravity gradient, drag and a commanded torque."""
-    J = so3.matrix_at(body, 0)
-    w = so3.vector_at(y, 4)
+    J = dense.matrix_at(body, 0)
+    w = dense.vector_at(y, 4)
     out[0] = -0.5 * (y[1] * w[0] + y[2] * w[1] + y[3] * w[2])
     out[1] = 0.5 * (y[0] * w[0] + y[2] * w[2] - y[3] * w[1])
     out[2] = 0.5 * (y[0] * w[1] + y[3] * w[0] - y[1] * w[2])
     out[3] = 0.5 * (y[0] * w[2] + y[1] * w[1] - y[2] * w[0])
     torque = gravity_gradient(orbit, J, t, y[0:4])
     drag = _drag_torque(orbit, body, t, y[0:4])
-    gyration = so3.cross(w, so3.rotate(J, w))
+    gyration = so3.cross(w, dense.matvec(J, w))
     for i in range(3):
         torque[i] += drag[i] + command[i] - gyration[i]
-    so3.put_vector(out, 4, so3.rotate(so3.matrix_at(body, 9), torque))
+    dense.put_vector(out, 4, dense.matvec(dense.matrix_at(body, 9), torque))
 
 
 @jit_loop(VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, ahead=False)

@@ -9,11 +9,11 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.sim.attitude_dynamics import circular_orbit, gravity_gradient
-from relnav_graph.sim.controlled_bodies import check_inertia
 from relnav_graph.state import Block
 from relnav_graph.units import Quantity, check_fields
 
@@ -31,16 +31,16 @@ def tracking_torque(
     J_t, its inverse, J_c; target, chaser (7,): attitude in i as q_wxyz and rate in own axes."""
     J_t, J_c = inertias[0], inertias[2]
     R_ic = so3.from_quaternion(chaser[0:4])
-    R_ct = so3.transpose_multiply(R_ic, so3.from_quaternion(target[0:4]))
-    w_t, w_c = so3.vector_at(target, 4), so3.vector_at(chaser, 4)
-    q_tc = so3.quaternion(so3.transpose_multiply(R_ct, so3.identity(3)))  # its sign is +
-    aim = so3.rotate(R_ct, w_t)
-    gyration = so3.cross(w_t, so3.rotate(J_t, w_t))
+    R_ct = dense.transposed_matmul(R_ic, so3.from_quaternion(target[0:4]))
+    w_t, w_c = dense.vector_at(target, 4), dense.vector_at(chaser, 4)
+    q_tc = so3.quaternion(dense.transposed_matmul(R_ct, dense.identity(3)))  # its sign is +
+    aim = dense.matvec(R_ct, w_t)
+    gyration = so3.cross(w_t, dense.matvec(J_t, w_t))
     pull_t = gravity_gradient(orbit, J_t, t, target[0:4])
     pull_c = gravity_gradient(orbit, J_c, t, chaser[0:4])
-    a_t = so3.rotate(inertias[1], so3.add_vector(pull_t, gyration, -1.0))
-    a_t = so3.rotate(R_ct, a_t)
-    e, error = so3.vector_at(q_tc, 1), so3.add_vector(w_c, aim, -1.0)
+    a_t = dense.matvec(inertias[1], dense.add_scaled_vector(pull_t, gyration, -1.0))
+    a_t = dense.matvec(R_ct, a_t)
+    e, error = dense.vector_at(q_tc, 1), dense.add_scaled_vector(w_c, aim, -1.0)
     turning, sideways = so3.cross(e, error), so3.cross(error, aim)
     w_r, a_r, s = np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
@@ -48,8 +48,8 @@ def tracking_torque(
         s[i] = w_c[i] - w_r[i]
         a_r[i] = a_t[i] - sideways[i] - 0.5 * gains[0] * (q_tc[0] * error[i] + turning[i])
         a_r[i] -= gains[1] * s[i]
-    torque = so3.rotate(J_c, a_r)
-    gyration = so3.cross(w_r, so3.rotate(J_c, w_c))
+    torque = dense.matvec(J_c, a_r)
+    gyration = so3.cross(w_r, dense.matvec(J_c, w_c))
     for i in range(3):
         torque[i] += gyration[i] - pull_c[i]
     return torque

@@ -8,9 +8,10 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
+from relnav_graph.maths import so3
+from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.sim.attitude_dynamics import advance, circular_orbit
 from relnav_graph.sim.truth import checked_times
 from relnav_graph.track import Truth
@@ -21,16 +22,6 @@ __all__ = ["ControlledBodies"]
 
 def _zeros() -> Array:
     return np.zeros(3)
-
-
-def check_inertia(where: str, J: Array) -> None:
-    """Raise InputError on an inertia (3, 3) that no body has."""
-    second_moments = np.linalg.eigvalsh(0.5 * np.trace(J) * np.eye(3) - J)
-    if np.abs(J - J.T).max() > 1e-9 * np.abs(J).max() or not second_moments.min() > 0:
-        raise InputError(
-            f"{where}: found {J.tolist()} kg m^2, expected a symmetric matrix whose principal"
-            " moments are each below the sum of the others"
-        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

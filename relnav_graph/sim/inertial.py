@@ -11,13 +11,12 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
-from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.inertia import TRACELESS, check_inertia, second_moments
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
 from relnav_graph.sim.truth import OrbitElements, checked_times
-from relnav_graph.state import TRACELESS
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
@@ -33,15 +32,15 @@ def _zeros() -> Array:
 
 def _moments(J: Array) -> tuple[Array, Array]:
     """Second moments of the mass about the principal axes (3,), and R_tp, of J (3, 3)."""
-    moments, R_tp = np.linalg.eigh(0.5 * np.trace(J) * np.eye(3) - J)
+    moments, R_tp = np.linalg.eigh(second_moments(J))
     R_tp[:, 2] *= np.linalg.det(R_tp)
     return moments, R_tp
 
 
 def inertia_parameters(J: Array) -> Array:
     """The block `state.INERTIA_MATRIX` (5,) of an inertia J (3, 3) that a body can have."""
-    second_moments, R_tp = _moments(J)
-    logs = np.log(second_moments)
+    moments, R_tp = _moments(J)
+    logs = np.log(moments)
     S = R_tp @ np.diag(logs - logs.mean()) @ R_tp.T
     out: Array = 0.5 * np.einsum("aij,ij->a", TRACELESS, S)  # each of TRACELESS has the square 2
     return out
@@ -70,12 +69,7 @@ class TumblingBody:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        J = self.target_inertia
-        if np.abs(J - J.T).max() > 1e-9 * np.abs(J).max() or not _moments(J)[0].min() > 0:
-            raise InputError(
-                f"{type(self).__name__}.target_inertia: found {J.tolist()} kg m^2, expected a"
-                " symmetric matrix whose principal moments are each below the sum of the others"
-            )
+        check_inertia(f"{type(self).__name__}.target_inertia", self.target_inertia)
 
     def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
         """Truth at `times` (N,), s: increasing, the first not before t = 0.
@@ -105,8 +99,8 @@ class TumblingBody:
 
     def _integrate(self, t: Array, craft: Array, rng: np.random.Generator) -> Array:
         """States y (N, 19) from the two craft's state (12,) at t = 0; see `integrate`."""
-        second_moments, R_tp = _moments(self.target_inertia)
-        p = np.array([MU_EARTH, *(second_moments.sum() - second_moments)])
+        moments, R_tp = _moments(self.target_inertia)
+        p = np.array([MU_EARTH, *(moments.sum() - moments)])
         q_ip = so3.quaternion(so3.exp(self.target_attitude.copy()) @ R_tp)
         y, out = np.array([*craft, *q_ip, *(R_tp.T @ self.target_rate)]), np.empty((1, STATE_SIZE))
         found, density = [], np.repeat(self._densities(), 3)
@@ -123,7 +117,7 @@ class TumblingBody:
 
     def _rotation_values(self, y: Array) -> dict[str, Array]:
         R_tp = _moments(self.target_inertia)[1]
-        R_ip = so3.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
+        R_ip = dense.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
         return {
             "target_attitude": R_ip @ R_tp.T,
             "target_rate": y[:, 16:19] @ R_tp.T,
@@ -180,7 +174,7 @@ class InertialPair(TumblingBody, OrbitElements):
         """
         t = checked_times(times)
         y = self._integrate(t, self._craft(), rng)
-        turns = so3.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
+        turns = dense.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
         values = self._rotation_values(y) | {
             "chaser_attitude": so3.exp(self.chaser_attitude.copy()) @ turns,
             "chaser_position": y[:, 0:3].copy(),

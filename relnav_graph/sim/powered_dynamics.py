@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
+from relnav_graph.maths import dense, so3
 
 __all__ = ["fly_orbits", "gravity", "sample_attitude"]
 
@@ -46,7 +46,7 @@ def gravity(r: Array) -> Array:
 def _slope(y: Array, held: Array) -> Array:
     out = np.empty(12)
     for first in (0, 6):
-        g = gravity(so3.vector_at(y, first))
+        g = gravity(dense.vector_at(y, first))
         for i in range(3):
             out[first + i] = y[first + 3 + i]
             out[first + 3 + i] = g[i] + held[first // 2 + i]
@@ -74,7 +74,7 @@ def _attitude(R: Array, rate: Array, wobble: Array, since: float, t: float) -> A
         turn[i] = rate[i] * since
     angle[0], angle[1] = wobble[0] * np.sin(phase), wobble[0] * np.cos(phase)
     angle[2] = 0.5 * wobble[0] * np.sin(2 * phase)
-    return so3.multiply(so3.multiply(R, so3.exp(turn)), so3.exp(angle))
+    return dense.matmul(dense.matmul(R, so3.exp(turn)), so3.exp(angle))
 
 
 @jit
@@ -95,8 +95,8 @@ def sample_attitude(
         dt = edges[k + 1] - edges[k]
         middle = _attitude(R, rate, wobble, edges[k] + 0.5 * dt - edges[0], edges[k] + 0.5 * dt)
         after = _attitude(R, rate, wobble, edges[k + 1] - edges[0], edges[k + 1])
-        turned = so3.log(so3.transpose_multiply(before, after))
-        seen = so3.unrotate(middle, force_i)
+        turned = so3.log(dense.transposed_matmul(before, after))
+        seen = dense.transposed_matvec(middle, force_i)
         for i in range(3):
             rates[k, i], forces[k, i] = turned[i] / dt, seen[i]
         before = after

@@ -8,9 +8,9 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
+from relnav_graph.maths import so3
 from relnav_graph.sim.powered_dynamics import fly_orbits, sample_attitude, wobbled
 from relnav_graph.sim.truth import OrbitElements, checked_times
 from relnav_graph.track import Truth

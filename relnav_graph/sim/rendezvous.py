@@ -10,9 +10,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.maths import so3
 from relnav_graph.state import Block
 from relnav_graph.units import Quantity, check_fields
 

@@ -11,10 +11,11 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
 from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
@@ -106,12 +107,7 @@ class RigidBodyPair(OrbitElements):
     def __post_init__(self) -> None:
         check_fields(self)
         self._orbits()  # it refuses what is no ellipse
-        J = self.target_inertia
-        if 2 * J.max() >= J.sum():
-            raise InputError(
-                f"RigidBodyPair.target_inertia: found {J.tolist()} kg m^2, expected each"
-                " moment below the sum of the other two"
-            )
+        check_inertia("RigidBodyPair.target_inertia", np.diag(self.target_inertia))
 
     def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
         """Truth at `times` (N,), s: increasing, the first not before t = 0.
@@ -175,9 +171,9 @@ class RigidBodyPair(OrbitElements):
         r_tc_o = np.einsum("nij,nj->ni", R_oi, y[:, 6:9])
         w_oi_o = np.zeros_like(r_tc_o)
         w_oi_o[:, 2] = momentum / (r_i**2).sum(axis=1)
-        R_it = so3.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
+        R_it = dense.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
         R_ic0 = self.initial_R_io() @ so3.exp(self.chaser_attitude.copy())
-        R_ic = R_ic0 @ so3.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
+        R_ic = R_ic0 @ dense.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
         jx, jy, jz = self.target_inertia
         inertia_parameters = np.arctanh([(jy - jz) / jx, (jz - jx) / jy])
         return {

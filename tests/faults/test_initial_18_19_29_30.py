@@ -12,12 +12,12 @@ from online_passes import fresh, zhang
 from passes import differences, stored
 
 from factors.stereo_point import StereoPointCartesian
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.assembly import process_rows
 from relnav_graph.errors import EstimationError, ModelError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.initialise import hypotheses, initialise
+from relnav_graph.maths import so3
 from relnav_graph.problem import Prior, Problem
 from relnav_graph.state import Layout
 from relnav_graph.track import Truth

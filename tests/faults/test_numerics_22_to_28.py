@@ -20,9 +20,9 @@ from relnav_graph.compiled import jit
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import UNSOLVED
+from relnav_graph.maths.losses import Loss
 from relnav_graph.models import DynamicsModel, Measurement
 from relnav_graph.problem import Prior, Problem, make_epochs
-from relnav_graph.robust import Loss
 from relnav_graph.state import RELATIVE_POSITION, Block
 
 # --- a step that fails changes nothing ---------------------------------------------------------

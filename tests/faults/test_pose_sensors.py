@@ -13,9 +13,9 @@ import pytest
 from passes import EXPERIMENTS, ONE_ID, differences, sigmas, stored
 from passes_odometry import odometry_scenario
 
-from relnav_graph import so3
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
+from relnav_graph.maths import so3
 from relnav_graph.models import Measurement, Sensor
 from relnav_graph.problem import Problem
 from relnav_graph.recording import Recording

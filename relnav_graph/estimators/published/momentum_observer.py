@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.source import Recorded, Source
+from relnav_graph.maths import dense, so3
 from relnav_graph.problem import Epoch, Problem
 from relnav_graph.state import TARGET_ATTITUDE, TARGET_RATE
 from relnav_graph.track import Status, Track
@@ -24,7 +24,7 @@ __all__ = ["MomentumObserver"]
 @jit
 def momentum_rate(inverse: Array, R_it: Array, h_i: Array) -> Array:
     """w_ti_t (3,) of an angular momentum h_i (3,): J^-1 R_it^T h_i; inverse: J^-1 (3, 3)."""
-    return so3.rotate(inverse, so3.unrotate(R_it, h_i))
+    return dense.matvec(inverse, dense.transposed_matvec(R_it, h_i))
 
 
 @jit
@@ -34,21 +34,21 @@ def observer_step(
     """R_hat and h_i after numbers[2] seconds, in which what was measured turns with the
     target. numbers: k (1/s), beta (kg^2 m^4 / s^2), length (s); torque_t: known, in t."""
     k, beta, dt = numbers
-    error = so3.quaternion(so3.transpose_multiply(R_hat, R_seen))  # its scalar is >= 0
-    e = so3.vector_at(error, 1)
-    change = so3.add_vector(torque_t, so3.rotate(inverse, e), 0.5 * beta)
-    h_next = so3.add_vector(h_i, so3.rotate(R_seen, change), dt)
+    error = so3.quaternion(dense.transposed_matmul(R_hat, R_seen))  # its scalar is >= 0
+    e = dense.vector_at(error, 1)
+    change = dense.add_scaled_vector(torque_t, dense.matvec(inverse, e), 0.5 * beta)
+    h_next = dense.add_scaled_vector(h_i, dense.matvec(R_seen, change), dt)
     # J^-1 R h of the measured attitude, half the interval on.
     w = momentum_rate(inverse, R_seen, h_i)
     half = np.empty(3)
     for i in range(3):
         half[i] = 0.5 * dt * w[i]
-    w = momentum_rate(inverse, so3.multiply(R_seen, so3.exp(half)), h_i)
-    turn = so3.add_vector(w, e, k)
-    turn = so3.unrotate(R_hat, so3.rotate(R_seen, turn))
+    w = momentum_rate(inverse, dense.matmul(R_seen, so3.exp(half)), h_i)
+    turn = dense.add_scaled_vector(w, e, k)
+    turn = dense.transposed_matvec(R_hat, dense.matvec(R_seen, turn))
     for i in range(3):
         turn[i] *= dt
-    return so3.project(so3.multiply(R_hat, so3.exp(turn))), h_next
+    return so3.project(dense.matmul(R_hat, so3.exp(turn))), h_next
 
 
 def _seen(problem: Problem, epoch: Epoch) -> Iterator[Array]:

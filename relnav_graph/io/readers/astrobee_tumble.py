@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import Measurement
 from relnav_graph.problem import InputSeries
 from relnav_graph.recording import Recording
@@ -58,7 +58,7 @@ class _Topic:
                 f"{self.path}, at {self.t[bad][0]} s: found the quaternion {q_wxyz[bad][0]},"
                 " expected one of length 1"
             )
-        return so3.stacked((so3.from_quaternion(q) for q in q_wxyz), 3, 3)
+        return dense.stacked((so3.from_quaternion(q) for q in q_wxyz), 3, 3)
 
     def at(self, t: Array, values: Array) -> Array:
         """Vectors (N, 3) or attitudes (N, 3, 3) between the samples, at t (M,)."""
@@ -69,7 +69,7 @@ class _Topic:
             return mixed
         turns = (so3.log(a.T @ b) for a, b in zip(values[k], values[k + 1], strict=True))
         parts = (so3.exp(s * d) for s, d in zip(part, turns, strict=True))
-        return np.asarray(values[k] @ so3.stacked(parts, 3, 3))
+        return np.asarray(values[k] @ dense.stacked(parts, 3, 3))
 
 
 def _file(folder: Path, topic: str, run: str) -> Path | None:

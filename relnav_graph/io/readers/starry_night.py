@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.models import Measurement
 from relnav_graph.problem import InputSeries
 from relnav_graph.recording import Recording
@@ -132,7 +132,7 @@ def _truth(file: _Variables, t: Array, rows: slice, count: int) -> Truth:
         )
     turns = np.ascontiguousarray(theta[rows])
     values = {
-        "relative_attitude": so3.stacked((so3.exp(phi) for phi in turns), 3, 3),
+        "relative_attitude": dense.stacked((so3.exp(phi) for phi in turns), 3, 3),
         "relative_position": np.ascontiguousarray(file.array("r_i_vk_i", (3, count)).T[rows]),
     }
     return Truth(t, values, source=f"motion capture, {file.path.name}")

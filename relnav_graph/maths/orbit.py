@@ -15,11 +15,11 @@ from typing import Annotated
 
 import numpy as np
 
-from relnav_graph import so3
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["KeplerOrbit", "chief_motion", "frame_rotation", "relative_transition", "two_body"]
@@ -108,7 +108,7 @@ def _universal_anomaly(r0: float, sigma0: float, alpha: float, s: float) -> floa
 def two_body(r0: Array, v0: Array, mu: float, dt: float) -> tuple[Array, Array, Array]:
     """Position and velocity (3,) after dt seconds in an inertial frame, and the (6, 6)
     transition matrix d(r, v) / d(r0, v0). Battin 1999, eqs. 4.84 and 9.84-9.87."""
-    n0 = so3.norm(r0)
+    n0 = dense.norm(r0)
     root = np.sqrt(mu)
     sigma0 = (r0[0] * v0[0] + r0[1] * v0[1] + r0[2] * v0[2]) / root
     alpha = 2 / n0 - (v0[0] ** 2 + v0[1] ** 2 + v0[2] ** 2) / mu

@@ -1,4 +1,4 @@
-"""Compiled linear algebra on small matrices, in plain loops over rows.
+"""Compiled linear algebra on small vectors and matrices, in plain loops over rows.
 
 The inner loops run along rows, so that the compiler vectorises them, and leave out factors
 of zero: transition and whitening matrices are sparse by block. Against LAPACK, a call costs
@@ -9,6 +9,9 @@ Source: Golub and Van Loan 2013, algorithms 3.1.1, 4.2.2 and 5.2.1.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 import numpy as np
 
 from relnav_graph.arrays import Array
@@ -16,16 +19,34 @@ from relnav_graph.compiled import jit
 
 __all__ = [
     "SPARE",
+    "add_scaled",
+    "add_scaled_vector",
     "cholesky",
+    "column_squares",
+    "copy",
     "householder",
+    "identity",
     "inverse_upper",
-    "product",
+    "matmul",
+    "matmul_into",
+    "matrix_at",
+    "matvec",
+    "norm",
+    "propagate_covariance",
+    "put_block",
+    "put_matrix",
+    "put_vector",
     "sandwich",
     "scaled_cholesky",
     "solve_lower",
     "solve_lower_transposed",
+    "stacked",
+    "sum_of_squares",
     "symmetrize",
-    "transpose",
+    "transpose_in_place",
+    "transposed_matmul",
+    "transposed_matvec",
+    "vector_at",
 ]
 
 
@@ -34,7 +55,7 @@ SPARE = 3
 
 
 @jit(vectorize="columns")
-def product(a: Array, b: Array, out: Array) -> None:
+def matmul_into(a: Array, b: Array, out: Array) -> None:
     """``out = a b``."""
     for i in range(a.shape[0]):
         for j in range(b.shape[1]):
@@ -59,16 +80,16 @@ def sandwich(F: Array, P: Array, out: Array) -> None:
     """``out = F P F^T`` for a symmetric P, exactly symmetric."""
     n = F.shape[0]
     half, turned = np.empty((n, F.shape[1])), np.empty((F.shape[1], n))
-    product(F, P, half)
+    matmul_into(F, P, half)
     for i in range(n):
         for j in range(F.shape[1]):
             turned[j, i] = half[i, j]
-    product(F, turned, out)
+    matmul_into(F, turned, out)
     symmetrize(out)
 
 
 @jit
-def transpose(a: Array) -> None:
+def transpose_in_place(a: Array) -> None:
     """``a = a^T``, for a square matrix."""
     for i in range(a.shape[0]):
         for j in range(i):
@@ -213,3 +234,165 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
                 a[i, c + 2] -= f[l] * y
                 a[i, c + 3] -= f[l] * z
             c += 4
+
+
+def stacked(arrays: Iterable[Array], *shape: int) -> Array:
+    """Arrays of one shape, made one after the other, as one (N, *shape): a million of them
+    never exist side by side."""
+    return np.fromiter(arrays, dtype=np.dtype((np.float64, shape)))
+
+
+@jit
+def identity(n: int) -> Array:
+    """Unit matrix (n, n)."""
+    out = np.zeros((n, n))
+    for i in range(n):
+        out[i, i] = 1.0
+    return out
+
+
+@jit
+def matrix_at(x: Array, start: int) -> Array:
+    """The (3, 3) matrix whose rows stand in x from `start` on."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = x[start + 3 * i + j]
+    return out
+
+
+@jit
+def vector_at(x: Array, start: int) -> Array:
+    """The (3,) vector that stands in x from `start` on."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = x[start + i]
+    return out
+
+
+@jit
+def put_matrix(x: Array, start: int, matrix: Array) -> None:
+    """Write a (3, 3) matrix into x, row by row, from `start` on."""
+    for i in range(3):
+        for j in range(3):
+            x[start + 3 * i + j] = matrix[i, j]
+
+
+@jit
+def put_vector(x: Array, start: int, v: Array) -> None:
+    """Write a vector into x from `start` on."""
+    for i in range(v.shape[0]):
+        x[start + i] = v[i]
+
+
+@jit
+def put_block(out: Array, row: int, column: int, block: Array, factor: float) -> None:
+    """Write ``factor block`` into a matrix, its upper left corner at (row, column)."""
+    for i in range(block.shape[0]):
+        for j in range(block.shape[1]):
+            out[row + i, column + j] = factor * block[i, j]
+
+
+@jit
+def add_scaled(a: Array, b: Array, factor: float) -> Array:
+    """``a + factor b`` of two matrices."""
+    out = np.empty((a.shape[0], a.shape[1]))
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j] + factor * b[i, j]
+    return out
+
+
+@jit
+def add_scaled_vector(a: Array, b: Array, factor: float) -> Array:
+    """``a + factor b`` of two vectors."""
+    out = np.empty(a.shape[0])
+    for i in range(a.shape[0]):
+        out[i] = a[i] + factor * b[i]
+    return out
+
+
+@jit
+def propagate_covariance(F: Array, P: Array) -> Array:
+    """``F P F^T`` of a symmetric P."""
+    out = np.empty((F.shape[0], F.shape[0]))
+    sandwich(F, P, out)
+    return out
+
+
+@jit
+def matmul(a: Array, b: Array) -> Array:
+    """Product of two small matrices, (m, k) by (k, n); cheaper than a BLAS call."""
+    out = np.empty((a.shape[0], b.shape[1]))
+    matmul_into(a, b, out)
+    return out
+
+
+@jit
+def transposed_matmul(a: Array, b: Array) -> Array:
+    """``a^T b`` of small matrices, (k, m) and (k, n)."""
+    k, m, n = a.shape[0], a.shape[1], b.shape[1]
+    out = np.zeros((m, n))
+    for l in range(k):
+        for i in range(m):
+            f = a[l, i]
+            for j in range(n):
+                out[i, j] += f * b[l, j]
+    return out
+
+
+@jit
+def matvec(matrix: Array, v: Array) -> Array:
+    """``matrix v`` for a (m, k) matrix and a (k,) vector."""
+    m, k = matrix.shape
+    out = np.zeros(m)
+    for i in range(m):
+        for j in range(k):
+            out[i] += matrix[i, j] * v[j]
+    return out
+
+
+@jit
+def transposed_matvec(matrix: Array, v: Array) -> Array:
+    """``matrix^T v`` for a (k, m) matrix and a (k,) vector."""
+    k, m = matrix.shape
+    out = np.zeros(m)
+    for i in range(k):
+        for j in range(m):
+            out[j] += matrix[i, j] * v[i]
+    return out
+
+
+@jit
+def norm(v: Array) -> float:
+    """Length of a vector."""
+    s = 0.0
+    for i in range(v.shape[0]):
+        s += v[i] * v[i]
+    return math.sqrt(s)
+
+
+@jit
+def copy(a: Array, out: Array) -> None:
+    """``out = a``."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j]
+
+
+@jit
+def sum_of_squares(v: Array) -> float:
+    """``v^T v``."""
+    out = 0.0
+    for i in range(v.shape[0]):
+        out += v[i] * v[i]
+    return out
+
+
+@jit
+def column_squares(a: Array, first: int, column: int) -> float:
+    """The sum of squares of a column, from the row `first` on."""
+    out = 0.0
+    for i in range(first, a.shape[0]):
+        out += a[i, column] * a[i, column]
+    return out

@@ -2,7 +2,7 @@
 
 Matrices are active (``R_ab`` takes b-components to a-components). Perturbations act on
 the right, ``R Exp(d)``, with d in the right-hand frame in radians: GTSAM's ``retract``.
-All functions but `stacked` take and return C-contiguous float64 and are compiled. They are
+All functions take and return C-contiguous float64 and are compiled. They are
 written in plain loops over small arrays: array expressions and slices take numba many times as
 long to compile, and run no faster.
 
@@ -11,154 +11,15 @@ Sources: Sola, Deray, Atchuthan 2018 (arXiv:1812.01537), eqs. 132-147; Chirikjia
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
-
 import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.matrices import product, sandwich
+from relnav_graph.maths.dense import matmul, norm, transposed_matmul
 
 # Below this angle the series of the coefficients, to the last digit kept, replace the
 # closed forms: (t - sin t) / t^3 loses eps / t^2 to cancellation, far above it.
 _SERIES = 0.3
-
-
-def stacked(arrays: Iterable[Array], *shape: int) -> Array:
-    """Arrays of one shape, made one after the other, as one (N, *shape): a million of them
-    never exist side by side."""
-    return np.fromiter(arrays, dtype=np.dtype((np.float64, shape)))
-
-
-@jit
-def identity(n: int) -> Array:
-    """Unit matrix (n, n)."""
-    out = np.zeros((n, n))
-    for i in range(n):
-        out[i, i] = 1.0
-    return out
-
-
-@jit
-def matrix_at(x: Array, start: int) -> Array:
-    """The (3, 3) matrix whose rows stand in x from `start` on."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = x[start + 3 * i + j]
-    return out
-
-
-@jit
-def vector_at(x: Array, start: int) -> Array:
-    """The (3,) vector that stands in x from `start` on."""
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = x[start + i]
-    return out
-
-
-@jit
-def put_matrix(x: Array, start: int, matrix: Array) -> None:
-    """Write a (3, 3) matrix into x, row by row, from `start` on."""
-    for i in range(3):
-        for j in range(3):
-            x[start + 3 * i + j] = matrix[i, j]
-
-
-@jit
-def put_vector(x: Array, start: int, v: Array) -> None:
-    """Write a vector into x from `start` on."""
-    for i in range(v.shape[0]):
-        x[start + i] = v[i]
-
-
-@jit
-def put(out: Array, row: int, column: int, block: Array, factor: float) -> None:
-    """Write ``factor block`` into a matrix, its upper left corner at (row, column)."""
-    for i in range(block.shape[0]):
-        for j in range(block.shape[1]):
-            out[row + i, column + j] = factor * block[i, j]
-
-
-@jit
-def add(a: Array, b: Array, factor: float) -> Array:
-    """``a + factor b`` of two matrices."""
-    out = np.empty((a.shape[0], a.shape[1]))
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            out[i, j] = a[i, j] + factor * b[i, j]
-    return out
-
-
-@jit
-def add_vector(a: Array, b: Array, factor: float) -> Array:
-    """``a + factor b`` of two vectors."""
-    out = np.empty(a.shape[0])
-    for i in range(a.shape[0]):
-        out[i] = a[i] + factor * b[i]
-    return out
-
-
-@jit
-def propagate_covariance(F: Array, P: Array) -> Array:
-    """``F P F^T`` of a symmetric P."""
-    out = np.empty((F.shape[0], F.shape[0]))
-    sandwich(F, P, out)
-    return out
-
-
-@jit
-def multiply(a: Array, b: Array) -> Array:
-    """Product of two small matrices, (m, k) by (k, n); cheaper than a BLAS call."""
-    out = np.empty((a.shape[0], b.shape[1]))
-    product(a, b, out)
-    return out
-
-
-@jit
-def transpose_multiply(a: Array, b: Array) -> Array:
-    """``a^T b`` of small matrices, (k, m) and (k, n)."""
-    k, m, n = a.shape[0], a.shape[1], b.shape[1]
-    out = np.zeros((m, n))
-    for l in range(k):
-        for i in range(m):
-            f = a[l, i]
-            for j in range(n):
-                out[i, j] += f * b[l, j]
-    return out
-
-
-@jit
-def rotate(matrix: Array, v: Array) -> Array:
-    """``matrix v`` for a (m, k) matrix and a (k,) vector."""
-    m, k = matrix.shape
-    out = np.zeros(m)
-    for i in range(m):
-        for j in range(k):
-            out[i] += matrix[i, j] * v[j]
-    return out
-
-
-@jit
-def unrotate(matrix: Array, v: Array) -> Array:
-    """``matrix^T v`` for a (k, m) matrix and a (k,) vector."""
-    k, m = matrix.shape
-    out = np.zeros(m)
-    for i in range(k):
-        for j in range(m):
-            out[j] += matrix[i, j] * v[i]
-    return out
-
-
-@jit
-def norm(v: Array) -> float:
-    """Length of a vector."""
-    s = 0.0
-    for i in range(v.shape[0]):
-        s += v[i] * v[i]
-    return math.sqrt(s)
 
 
 @jit
@@ -301,8 +162,8 @@ def project(matrix: Array) -> Array:
 
     One Newton step of the polar decomposition; for products of many rotations.
     """
-    correction = transpose_multiply(matrix, matrix)
+    correction = transposed_matmul(matrix, matrix)
     for i in range(3):
         for j in range(3):
             correction[i, j] = (1.5 if i == j else 0.0) - 0.5 * correction[i, j]
-    return multiply(matrix, correction)
+    return matmul(matrix, correction)

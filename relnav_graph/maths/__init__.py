@@ -1,0 +1,1 @@
+"""Arrays only: linear algebra, rotations, the state manifold, orbits, frames, losses, inertia."""
