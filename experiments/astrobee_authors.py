@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.readers import read_raw
 from relnav_graph.io.readers.astrobee_tumble import authors_rate
 from relnav_graph.metrics import errors, with_smoothed
-from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import load_scenario
 
 SCENARIO = Path(__file__).with_name("astrobee_tumble.toml")

@@ -28,16 +28,21 @@ from gtsam.symbol_shorthand import C, P, T, V
 
 from factors.beacon_los import BeaconLineOfSight
 from factors.eccentric_relative_motion import EccentricRelativeMotion
-from relnav_graph.graph import insert_block, measurement_factor, process_factor, read_block
-from relnav_graph.maths import dense, so3
-from relnav_graph.maths.orbit import KeplerOrbit
-from relnav_graph.models import Measurement
-from relnav_graph.state import (
+from relnav_graph.core.catalogue import (
     CHASER_ATTITUDE,
     RELATIVE_POSITION,
     RELATIVE_VELOCITY,
     TARGET_ATTITUDE,
 )
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.linear.gtsam_factors import (
+    insert_block,
+    measurement_factor,
+    process_factor,
+    read_block,
+)
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.orbit import KeplerOrbit
 
 EPOCHS, STEP = 20, 10.0
 

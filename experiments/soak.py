@@ -21,11 +21,12 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
 from relnav_graph.errors import GeometryError
 from relnav_graph.estimators.online import online
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch, Problem
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario import load_scenario
 
 SCENARIO = Path(__file__).parent / "zhang2015_close.toml"

@@ -18,13 +18,13 @@ import gtsam
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph.assembly import Assembly
-from relnav_graph.chain import epoch_factor, interval_factor
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.fixed_lag import FixedLag, FixedLagEngine
 from relnav_graph.estimators.window import Window
-from relnav_graph.problem import Problem
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import anchor_of
+from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
 from relnav_graph.scenario import load_scenario
-from relnav_graph.sweep import anchor_of
 
 
 def distance(problem: Problem, engine: FixedLagEngine, w: Window) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
+from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
-from relnav_graph.models import Measurement
 from relnav_graph.units import Quantity
 
 from ._mounting import MountedSensor

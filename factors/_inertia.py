@@ -66,7 +66,7 @@ def inertia_matrix(k: Array) -> tuple[Array, Array]:
     """J (3, 3), up to its scale, and its derivatives to k (5,), (5, 3, 3).
 
     Every k is a body: D = exp(S) is positive definite, which holds just for inertias of
-    positive mass (Wensing, Kim, Slotine 2018, section III). See `state.INERTIA_MATRIX`.
+    positive mass (Wensing, Kim, Slotine 2018, section III). See `catalogue.INERTIA_MATRIX`.
     """
     S = np.zeros((3, 3))
     for a in range(5):

@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.models import SensorModel
-from relnav_graph.state import check_rotation
+from relnav_graph.core.models import SensorModel
+from relnav_graph.core.state import check_rotation
 from relnav_graph.units import Quantity
 
 

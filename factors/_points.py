@@ -10,16 +10,16 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
-from relnav_graph.errors import InputError
-from relnav_graph.maths import dense, so3
-from relnav_graph.state import (
+from relnav_graph.core.catalogue import (
     CHASER_ATTITUDE,
     RELATIVE_ATTITUDE,
     RELATIVE_POSITION,
     RELATIVE_POSITION_T,
     TARGET_ATTITUDE,
-    Block,
 )
+from relnav_graph.core.state import Block
+from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity
 
 from ._mounting import MountedSensor

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from relnav_graph.state import ABSOLUTE_ACCELEROMETER_BIAS, ACCELEROMETER_BIAS, Block
+from relnav_graph.core.catalogue import ABSOLUTE_ACCELEROMETER_BIAS, ACCELEROMETER_BIAS
+from relnav_graph.core.state import Block
 from relnav_graph.units import Quantity
 
 from ._gauss_markov import GaussMarkov

@@ -9,8 +9,8 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
-from relnav_graph.state import Block
 
 from ._attitude import AttitudeSensor, attitude_residual
 from ._points import Pose, pose_blocks

@@ -9,10 +9,11 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Block
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.maths import dense, so3
-from relnav_graph.models import Measurement
-from relnav_graph.state import CHASER_ATTITUDE, CHASER_POSITION, Block
 from relnav_graph.units import Quantity
 
 from ._gauss_markov import GaussMarkov

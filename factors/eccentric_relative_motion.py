@@ -9,10 +9,12 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import RELATIVE_POSITION, RELATIVE_VELOCITY
+from relnav_graph.core.contracts import Kernel
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
-from relnav_graph.models import DynamicsModel, Kernel
-from relnav_graph.state import RELATIVE_POSITION, RELATIVE_VELOCITY, Block
 from relnav_graph.units import Quantity
 
 from ._white_noise import add_step, duration, step_count

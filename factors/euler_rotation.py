@@ -9,19 +9,20 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.errors import InputError
-from relnav_graph.maths import dense, so3
-from relnav_graph.maths.inertia import check_inertia
-from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
-from relnav_graph.models import DynamicsModel, Kernel
-from relnav_graph.state import (
+from relnav_graph.core.catalogue import (
     BODY_RATE,
     INERTIA,
     INERTIA_MATRIX,
     TARGET_ATTITUDE,
     TARGET_RATE,
-    Block,
 )
+from relnav_graph.core.contracts import Kernel
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.inertia import check_inertia
+from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.units import Quantity
 
 from ._inertia import coefficients_of, full_coefficients, principal_coefficients
@@ -110,7 +111,7 @@ class EulerRotation(DynamicsModel):
     R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot; J w' = -w x J w + white (Zhang et al. 2015,
     section 3; Hu et al. 2019, eq. 4). inertia = "principal": the target's axes are its
     principal axes, and the ratios l = tanh(k) stand in the state as k
-    (`relnav_graph.state.INERTIA`). inertia = "full": any axes, `state.INERTIA_MATRIX`.
+    (`relnav_graph.core.catalogue.INERTIA`). inertia = "full": any axes, `catalogue.INERTIA_MATRIX`.
     inertia = "known": known_inertia, J about the axes of t up to its scale, kg m^2.
 
     torque_density: rad/s^1.5, angular acceleration per axis; inertia_density: 1/sqrt(s),

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH
+from relnav_graph.core.catalogue import CHASER_POSITION
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.models import SensorModel
+from relnav_graph.core.state import Block
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.maths import dense
-from relnav_graph.models import Measurement, SensorModel
-from relnav_graph.state import CHASER_POSITION, Block
 from relnav_graph.units import Quantity
 
 from .receiver_clock import CLOCK_BIAS

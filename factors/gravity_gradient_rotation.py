@@ -10,10 +10,11 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.core.catalogue import TARGET_ATTITUDE, TARGET_RATE
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion
-from relnav_graph.models import DynamicsModel
-from relnav_graph.state import TARGET_ATTITUDE, TARGET_RATE, Block
 from relnav_graph.units import Quantity
 
 from ._white_noise import duration, step_count

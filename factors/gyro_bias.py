@@ -10,10 +10,11 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
-from relnav_graph.models import DynamicsModel
-from relnav_graph.state import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE, Block
 from relnav_graph.units import Quantity
 
 from ._gauss_markov import walk_and_integral

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.state import INERTIA, INERTIA_MATRIX, Block
+from relnav_graph.core.catalogue import INERTIA, INERTIA_MATRIX
+from relnav_graph.core.state import Block
 
 from ._inertia import inertia_matrix, principal_ratios
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_POSITION, CHASER_VELOCITY
+from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
-from relnav_graph.state import CHASER_POSITION, CHASER_VELOCITY, Block
 
 from ._driven_orbit import DrivenOrbit, drive
 from ._gravity import Degree

@@ -9,14 +9,14 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.maths import dense
-from relnav_graph.state import (
+from relnav_graph.core.catalogue import (
     CHASER_POSITION,
     CHASER_VELOCITY,
     RELATIVE_POSITION,
     RELATIVE_VELOCITY,
-    Block,
 )
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense
 
 from ._driven_orbit import OTHERS, DrivenOrbit, drive
 from ._gravity import Degree

@@ -9,8 +9,8 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.models import DynamicsModel
-from relnav_graph.state import Block
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
 from relnav_graph.units import Quantity
 
 from ._white_noise import duration

@@ -10,8 +10,9 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, RELATIVE_ATTITUDE, TARGET_ATTITUDE
+from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
-from relnav_graph.state import CHASER_ATTITUDE, RELATIVE_ATTITUDE, TARGET_ATTITUDE, Block
 
 from ._attitude import AttitudeSensor, attitude_residual
 

@@ -10,16 +10,16 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import MATRIX, STACK
-from relnav_graph.maths import dense, so3
-from relnav_graph.models import DerivedQuantity
-from relnav_graph.state import (
+from relnav_graph.core.catalogue import (
     BODY_RATE,
     CHASER_ATTITUDE,
     RELATIVE_ATTITUDE,
     RELATIVE_POSITION,
     TARGET_ATTITUDE,
-    Block,
 )
+from relnav_graph.core.models import DerivedQuantity
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense, so3
 
 
 def _numbers(v: Array) -> Array:

@@ -9,15 +9,15 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.maths import dense
-from relnav_graph.models import DynamicsModel
-from relnav_graph.state import (
+from relnav_graph.core.catalogue import (
     CHASER_POSITION,
     CHASER_VELOCITY,
     RELATIVE_POSITION,
     RELATIVE_VELOCITY,
-    Block,
 )
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense
 from relnav_graph.units import Quantity
 
 from ._gravity import FIELD, Degree, coast, earth_field

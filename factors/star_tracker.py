@@ -9,10 +9,11 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE
+from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense
 from relnav_graph.maths.orbit import KeplerOrbit
-from relnav_graph.state import CHASER_ATTITUDE, Block
 
 from ._attitude import AttitudeSensor, attitude_residual
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.maths import dense
-from relnav_graph.models import DynamicsModel
-from relnav_graph.state import (
+from relnav_graph.core.catalogue import (
     RELATIVE_POSITION,
     RELATIVE_POSITION_T,
     RELATIVE_VELOCITY,
     RELATIVE_VELOCITY_T,
-    Block,
 )
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense
 from relnav_graph.units import Quantity
 
 from ._points import Pose

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.assembly import Assembly, MeasurementRows
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.noise import inverse_cholesky
-from relnav_graph.problem import Problem
-from relnav_graph.sweep import Anchor, linearize
-from relnav_graph.track import Track, Truth
+from relnav_graph.linear.assembly import Assembly, MeasurementRows
+from relnav_graph.linear.elimination import Anchor, linearize
+from relnav_graph.linear.whitening import inverse_cholesky
 
 __all__ = ["Bounds", "bounds", "true_trajectory"]
 

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.assembly import Assembly
-from relnav_graph.chain import Rows, chain_factors, chain_rows, eliminate
+from relnav_graph.core.contracts import Dynamics
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.gating import residual_weights
-from relnav_graph.models import Dynamics
-from relnav_graph.problem import Problem
-from relnav_graph.sweep import anchor_of, linearize
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import anchor_of, linearize
+from relnav_graph.linear.gtsam_chain import Rows, chain_factors, chain_rows, eliminate
 
 __all__ = ["NoiseResiduals", "estimate_factors", "noise_residuals"]
 

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.contracts import Derived
+from relnav_graph.core.models import DerivedQuantity
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.models import Derived, DerivedQuantity
-from relnav_graph.state import Block
-from relnav_graph.track import Track, Truth
 
 __all__ = [
     "StateErrors",

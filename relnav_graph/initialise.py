@@ -16,13 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.problem import Epoch, Prior, Problem
-from relnav_graph.state import Layout
+from relnav_graph.linear.assembly import Assembly
 
 __all__ = ["FRAMES", "Hypothesis", "decide", "hypotheses", "initialise"]
 

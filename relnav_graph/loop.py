@@ -18,7 +18,10 @@ from threadpoolctl import threadpool_limits
 
 from relnav_graph import sim
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch, process_inputs
+from relnav_graph.core.measurement import SAME_TIME, Measurement
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Recording, Track, Truth
 from relnav_graph.errors import (
     EstimationError,
     GeometryError,
@@ -26,14 +29,11 @@ from relnav_graph.errors import (
     ModelError,
 )
 from relnav_graph.estimators import GROUP, diverged, try_estimator
-from relnav_graph.models import Measurement
-from relnav_graph.problem import SAME_TIME, Epoch, Problem, process_inputs
-from relnav_graph.recording import Recording
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario
 from relnav_graph.sim.flight import Flight
 from relnav_graph.sim.interval_inputs import IntervalInputs
-from relnav_graph.track import Track, Truth
 
 __all__ = ["ClosedLoop", "Flown", "Passed", "flies", "fly", "fly_all", "run_passes", "warm_up"]
 

@@ -13,8 +13,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
-from relnav_graph.models import Measurement, Sensor
-from relnav_graph.state import Layout
+from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Layout
 from relnav_graph.units import unit_scale
 
 __all__ = ["wrong_unit"]

@@ -17,6 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Derived
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Kind, Track, Truth
 from relnav_graph.deviation import (
     Band,
     StateErrors,
@@ -30,10 +33,7 @@ from relnav_graph.deviation import (
     mean_nees,
 )
 from relnav_graph.errors import InputError
-from relnav_graph.models import Derived
-from relnav_graph.state import Block
 from relnav_graph.tables import table
-from relnav_graph.track import Kind, Track, Truth
 
 __all__ = [
     "Score",

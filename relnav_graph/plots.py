@@ -18,11 +18,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Derived
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Kind, Track, Truth
 from relnav_graph.deviation import errors, estimates, finite
 from relnav_graph.metrics import with_smoothed
-from relnav_graph.models import Derived
-from relnav_graph.state import Block
-from relnav_graph.track import Kind, Track, Truth
 
 __all__ = [
     "STYLE",

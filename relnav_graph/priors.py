@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.problem import Prior
+from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
-from relnav_graph.problem import Prior
 from relnav_graph.settings import BlockPrior, Problems, ScenarioFile
-from relnav_graph.state import Block, Layout
-from relnav_graph.track import Truth
 from relnav_graph.units import Quantity
 
 __all__ = ["check_prior", "make_prior"]

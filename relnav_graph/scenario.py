@@ -11,17 +11,20 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from relnav_graph import models, sim
+from relnav_graph import sim
 from relnav_graph.arrays import Array
 from relnav_graph.compiled.helpers import compile_ahead
+from relnav_graph.core import models
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.problem import Prior, Problem, layout_of
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.initialise import initialise
 from relnav_graph.magnitude import wrong_unit
 from relnav_graph.maths.losses import Loss
-from relnav_graph.models import Dynamics, Sensor
 from relnav_graph.priors import check_prior, make_prior
-from relnav_graph.problem import Epoch, Prior, Problem, layout_of, make_epochs
-from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
 from relnav_graph.settings import (
     MISSING,
@@ -37,8 +40,6 @@ from relnav_graph.settings import (
     shared_orbit,
 )
 from relnav_graph.sim.flight import ControlledTruth, Controller
-from relnav_graph.state import Layout
-from relnav_graph.track import Truth
 from relnav_graph.units import parse_quantity
 
 __all__ = ["Scenario", "ScenarioError", "load_scenario", "make_scenario", "override", "read_toml"]

@@ -23,7 +23,8 @@ from pydantic import (
     model_validator,
 )
 
-from relnav_graph import models, sim
+from relnav_graph import sim
+from relnav_graph.core import models
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.maths.losses import LossKind
 from relnav_graph.registry import classes, find_class

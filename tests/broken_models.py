@@ -14,14 +14,15 @@ import numpy as np
 from toy_model import PositionFix, ThermalDrift
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
-from relnav_graph import graph
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.errors import ModelError, RelnavError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.online import online
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch, Prior, Problem, make_epochs
+from relnav_graph.linear import gtsam_factors
 
 
 @jit
@@ -175,13 +176,13 @@ def model_process(name: str) -> None:
 
 
 def isam2_sensor(name: str) -> None:
-    incremental(graph.measurement_factor(SENSORS[name](), MEASUREMENT, [7]), [(7, 3)])
+    incremental(gtsam_factors.measurement_factor(SENSORS[name](), MEASUREMENT, [7]), [(7, 3)])
 
 
 def isam2_process(name: str) -> None:
     cls = type("Broken", (ThermalDrift,), {"kernel": staticmethod(PROCESSES[name])})
     process = cls(time_constant=1.0, density=1.0)
-    factor = graph.process_factor(process, 0.0, np.ones((1, 1)), [7], [8], [np.zeros(1)])
+    factor = gtsam_factors.process_factor(process, 0.0, np.ones((1, 1)), [7], [8], [np.zeros(1)])
     incremental(factor, [(7, 1), (8, 1)])
 
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.state import Block
 from relnav_graph.maths import so3
-from relnav_graph.state import Block
 
 Draw = Callable[[np.random.Generator, str], tuple[Array, ...]]
 

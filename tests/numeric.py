@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.state import Layout
+from relnav_graph.core.state import Layout
 
 
 def steps_for(jacobian: Array, inputs: Array, outputs: Array) -> Array:

@@ -10,9 +10,9 @@ import pytest
 from passes import ESTIMATORS, LINEAR_PRIOR, R_FIX, linear_problem, sigmas
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
 from relnav_graph.estimators import run_estimator
-from relnav_graph.problem import Problem
-from relnav_graph.track import Track
 
 
 def _model(dt: float, q: float) -> tuple[Array, Array]:

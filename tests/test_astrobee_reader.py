@@ -18,11 +18,11 @@ from factors.pose_odometry import PoseOdometry
 from factors.relative_pose import TargetRateInChaser
 from relnav_graph.arrays import Array
 from relnav_graph.cli import main
+from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import read_raw
 from relnav_graph.io.readers.astrobee_tumble import authors_rate
 from relnav_graph.maths import so3
-from relnav_graph.recording import Recording
 from relnav_graph.sim.inertial import inertia_parameters
 
 START, COUNT = 40.0, 12

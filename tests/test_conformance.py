@@ -21,11 +21,13 @@ from numeric import assert_jacobian, blocks_of, differences, steps_for
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Derived, Dynamics, Sensor
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.models import ENTRY_POINTS
+from relnav_graph.core.problem import check_covariance
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError
-from relnav_graph.models import ENTRY_POINTS, Derived, Dynamics, Measurement, Sensor
-from relnav_graph.problem import check_covariance
 from relnav_graph.registry import classes
-from relnav_graph.state import Block, Layout
 from relnav_graph.units import Quantity
 
 MODELS = classes(ENTRY_POINTS)

@@ -18,9 +18,9 @@ from numeric import assert_jacobian, blocks_of, differences, steps_for
 from test_conformance import DYNAMICS, seed_of, sizes, states_of
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.problem import check_covariance
+from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError
-from relnav_graph.problem import check_covariance
-from relnav_graph.state import Layout
 
 #: A copy of another epoch is no flow: its intervals do not compose.
 FLOWS = [name for name, example in DYNAMICS.items() if example.flow]

@@ -23,13 +23,18 @@ from test_conformance_dynamics import Interval, intervals, layout_of, transition
 
 from factors.stereo_point import StereoPointCartesian
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError
-from relnav_graph.graph import insert_block, measurement_factor, process_factor, read_block
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.gtsam_factors import (
+    insert_block,
+    measurement_factor,
+    process_factor,
+    read_block,
+)
 from relnav_graph.maths import so3
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch
-from relnav_graph.state import Block, Layout
 
 #: A block that no model knows: nothing may leak into its columns.
 STRANGER = Block("stranger", "s", "SO3", 3, "rad", "ab", "deg")

@@ -11,6 +11,10 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from relnav_graph.core.catalogue import INERTIA, RELATIVE_ATTITUDE, RELATIVE_VELOCITY_T
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.dataset import (
@@ -19,11 +23,6 @@ from relnav_graph.io.dataset import (
     read_settings_of,
     write_dataset,
 )
-from relnav_graph.models import Measurement
-from relnav_graph.problem import InputSeries
-from relnav_graph.recording import Recording
-from relnav_graph.state import INERTIA, RELATIVE_ATTITUDE, RELATIVE_VELOCITY_T, Layout
-from relnav_graph.track import Truth
 
 # A table needs only the names of a sensor's columns.
 SENSORS: dict[str, Any] = {

@@ -31,17 +31,19 @@ from factors.gyro_bias import GyroBias
 from factors.stereo_point import StereoPoint
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import jit
+from relnav_graph.core.epochs import make_epochs
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Track
 from relnav_graph.errors import GeometryError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.isam2 import IncrementalSmoother
-from relnav_graph.models import DynamicsModel, Measurement
-from relnav_graph.problem import InputSeries, Prior, Problem, make_epochs
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario import load_scenario
-from relnav_graph.state import Block
-from relnav_graph.track import Track
 
 GATE = 1 - 1e-6
 

@@ -11,10 +11,10 @@ from passes import ZHANG
 
 from relnav_graph.bounds import true_trajectory
 from relnav_graph.cli import main
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
 from relnav_graph.explain import named_directions
 from relnav_graph.metrics import score
-from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import load_scenario
 
 Capture = pytest.CaptureFixture[str]

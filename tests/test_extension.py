@@ -13,14 +13,13 @@ from toy_model import RANGE_DRIFT, DriftingRange, ThermalDrift
 
 from relnav_graph.arrays import Array
 from relnav_graph.cli import main
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Recording, Track, Truth
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Problem
-from relnav_graph.recording import Recording
 from relnav_graph.scenario import Scenario, load_scenario
-from relnav_graph.state import Layout
-from relnav_graph.track import Track, Truth
 
 SCENARIO = """
 title = "a laser ranger that drifts with its temperature"

@@ -10,15 +10,16 @@ import pytest
 from passes import PROCESSES, ZHANG, differences, sigmas, toy_measurements, toy_problem
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
-from relnav_graph.chain import epoch_factor, interval_factor
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.problem import Problem
 from relnav_graph.errors import RelnavError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.fixed_lag import FixedLag
 from relnav_graph.estimators.online import online
-from relnav_graph.problem import Epoch, Problem, make_epochs
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import anchor_of
+from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
 from relnav_graph.scenario import load_scenario
-from relnav_graph.sweep import anchor_of
 
 WINDOW = 6.0
 

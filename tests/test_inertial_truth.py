@@ -10,10 +10,10 @@ import pytest
 from examples import HU_INERTIA
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.sim.inertial import InertialPair, TumblingBody
 from relnav_graph.sim.truth import RigidBodyPair
-from relnav_graph.track import Truth
 
 BODY = TumblingBody(
     target_inertia=HU_INERTIA,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from passes import ZHANG, differences, sigmas, toy_measurements, toy_problem
 
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.long_pass import smooth_long_pass
-from relnav_graph.problem import Problem
 from relnav_graph.scenario import load_scenario
 
 

@@ -13,6 +13,8 @@ from passes import EXPERIMENTS, relnav, truth_of
 
 from factors.relative_attitude import VisionAttitude
 from relnav_graph import sim
+from relnav_graph.core.catalogue import CHASER_ATTITUDE
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.deviation import errors
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
@@ -23,8 +25,6 @@ from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
 from relnav_graph.maths import so3
 from relnav_graph.metrics import summary
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario, read_toml
-from relnav_graph.state import CHASER_ATTITUDE
-from relnav_graph.track import Track, Truth
 
 THIENEL = EXPERIMENTS / "thienel2006.toml"
 #: The published loop in ten minutes, with the better noise from 200 s on.

@@ -12,13 +12,14 @@ import pytest
 from passes import truth_of
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import CHASER_ATTITUDE
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Truth
 from relnav_graph.deviation import errors
 from relnav_graph.errors import InputError
 from relnav_graph.loop import fly
 from relnav_graph.maths import so3
 from relnav_graph.scenario import make_scenario
-from relnav_graph.state import CHASER_ATTITUDE, Block
-from relnav_graph.track import Truth
 
 
 class _Turning:

@@ -11,6 +11,15 @@ import numpy as np
 import pytest
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import (
+    GYRO_BIAS,
+    INERTIA,
+    RELATIVE_POSITION,
+    RELATIVE_POSITION_T,
+    TARGET_ATTITUDE,
+)
+from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.deviation import chi2_band, nees
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
@@ -23,16 +32,6 @@ from relnav_graph.metrics import (
     summary,
     table,
 )
-from relnav_graph.state import (
-    GYRO_BIAS,
-    INERTIA,
-    RELATIVE_POSITION,
-    RELATIVE_POSITION_T,
-    TARGET_ATTITUDE,
-    Block,
-    Layout,
-)
-from relnav_graph.track import Track, Truth
 
 LAYOUT = Layout([RELATIVE_POSITION, TARGET_ATTITUDE])
 DEGREE = np.pi / 180

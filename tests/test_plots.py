@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from relnav_graph.core.catalogue import GYRO_BIAS, INERTIA, RELATIVE_POSITION, TARGET_ATTITUDE
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.plots import error_figures, save_figures, trajectory_figure
-from relnav_graph.state import GYRO_BIAS, INERTIA, RELATIVE_POSITION, TARGET_ATTITUDE, Layout
-from relnav_graph.track import Track, Truth
 
 LAYOUT = Layout([RELATIVE_POSITION, TARGET_ATTITUDE])
 N = 40

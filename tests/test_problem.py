@@ -11,11 +11,12 @@ import pytest
 from passes import PRIOR, PROCESSES, SENSORS, toy_problem
 
 from factors.gyro_bias import GyroBias
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch, InputSeries, Prior, Problem, make_epochs
-from relnav_graph.track import Track
 
 
 def _m(z: Any = ((1.0, 2.0, 3.0),), ids: Any = (4,), t: float = 1.0, name: str = "fix") -> Any:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import xarray
 
+from relnav_graph.core.catalogue import GYRO_BIAS, INERTIA, RELATIVE_ATTITUDE, RELATIVE_POSITION_T
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.netcdf import Group, write_groups
 from relnav_graph.io.results import read_results, write_csv, write_results
-from relnav_graph.state import GYRO_BIAS, INERTIA, RELATIVE_ATTITUDE, RELATIVE_POSITION_T, Layout
-from relnav_graph.track import Track, Truth
 
 LAYOUT = Layout([RELATIVE_POSITION_T, RELATIVE_ATTITUDE, INERTIA])
 ATTRIBUTES = {"scenario": "starry_night", "title": "x_0 · π", "empty": ""}

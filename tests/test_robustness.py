@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from relnav_graph.cli import main
-from relnav_graph.problem import InputSeries
+from relnav_graph.core.measurement import InputSeries
 from relnav_graph.scenario import ScenarioError, load_scenario
 
 ZHANG = Path(__file__).parents[1] / "experiments" / "zhang2015.toml"

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from passes import ZHANG, differences, sigmas
 
-from relnav_graph import graph
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.state import Block
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.ekf import filter_pass
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.problem import Problem
+from relnav_graph.linear import gtsam_factors
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario import load_scenario
-from relnav_graph.state import Block
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +46,15 @@ class Nonlinear:
     def insert(self, values: gtsam.Values, k: int, x: Array) -> None:
         for block in self.problem.layout:
             value = self.problem.layout.value(x, block.name)
-            graph.insert_block(values, self.key(k, block), block, value)
+            gtsam_factors.insert_block(values, self.key(k, block), block, value)
 
     def trajectory(self, values: gtsam.Values) -> Array:
         layout = self.problem.layout
         return np.array(
             [
-                layout.pack({b.name: graph.read_block(values, self.key(k, b), b) for b in layout})
+                layout.pack(
+                    {b.name: gtsam_factors.read_block(values, self.key(k, b), b) for b in layout}
+                )
                 for k in range(len(self.start))
             ]
         )
@@ -75,7 +77,7 @@ class Nonlinear:
             for name, process in p.processes.items():
                 blocks = process.advances + process.reads
                 out.add(
-                    graph.process_factor(
+                    gtsam_factors.process_factor(
                         process,
                         p.epochs[k - 1].t,
                         epoch.inputs[name],
@@ -86,7 +88,9 @@ class Nonlinear:
                 )
         for m in epoch.measurements:
             sensor = p.sensors[m.sensor]
-            out.add(graph.measurement_factor(sensor, m, [self.key(k, b) for b in sensor.reads]))
+            out.add(
+                gtsam_factors.measurement_factor(sensor, m, [self.key(k, b) for b in sensor.reads])
+            )
         return out
 
     def graph(self) -> gtsam.NonlinearFactorGraph:

@@ -10,10 +10,10 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import READERS, read_raw
 from relnav_graph.maths import so3
-from relnav_graph.recording import Recording
 
 FRAMES, POINTS = 40, 7
 

@@ -23,11 +23,11 @@ from streams import (
     write_scenario,
 )
 
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.deviation import estimates
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.columns import component_columns, to_components
 from relnav_graph.io.lines import LineError, header_of, parse_line, prior_values
-from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.streaming.session import Options
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from passes import ZHANG, sigmas, toy_measurements, toy_problem
 
-from relnav_graph.assembly import Assembly
-from relnav_graph.chain import chain_factors, chain_rows, eliminate, epoch_factor
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.isam2 import WINDOW, IncrementalSmoother
-from relnav_graph.problem import Problem
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import anchor_of, linearize
+from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows, eliminate, epoch_factor
 from relnav_graph.scenario import load_scenario
-from relnav_graph.sweep import anchor_of, linearize
 
 
 def _zhang(epochs: int = 25) -> Problem:

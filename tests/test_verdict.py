@@ -9,18 +9,18 @@ import pytest
 from passes import ZHANG, linear_problem, toy_measurements, toy_problem
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
-from relnav_graph.chain import chain_factors, chain_rows
 from relnav_graph.components import estimate_factors, noise_residuals
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
-from relnav_graph.problem import Problem
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import anchor_of
+from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows
 from relnav_graph.scenario import load_scenario
 from relnav_graph.study.collect import collect
 from relnav_graph.study.record import Record
 from relnav_graph.study.runs import StudySpec, run_record
 from relnav_graph.study.summary import summarize
 from relnav_graph.study.verdict import verdict
-from relnav_graph.sweep import anchor_of
 
 GYRO = "processes.chaser.angle_random_walk_density"
 

@@ -30,12 +30,14 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import RELATIVE_POSITION
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.models import DynamicsModel, SensorModel
+from relnav_graph.core.state import Block
 from relnav_graph.errors import GeometryError, InputError
-from relnav_graph.models import DynamicsModel, Measurement, SensorModel
-from relnav_graph.state import RELATIVE_POSITION, Block
 from relnav_graph.units import Quantity
 
-# 1. A state of its own. Blocks that many models share stand in `relnav_graph.state`; any
+# 1. A state of its own. Blocks that many models share stand in `relnav_graph.core.state`; any
 # other is declared where it is used. The name is what scenarios ([prior]) and tables say.
 RANGE_DRIFT = Block("range_drift", "d_s", "vector", 1, "m", "s", "m")
 

@@ -9,12 +9,12 @@ import gtsam
 import numpy as np
 from scipy.linalg import cholesky_banded
 
-from relnav_graph import graph
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
 from relnav_graph.estimators.batch import Batch, solve
 from relnav_graph.estimators.ekf import KalmanFilter
-from relnav_graph.sweep import anchor_of, linearize
+from relnav_graph.linear import gtsam_factors
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import anchor_of, linearize
 
 from .passes import SAME, Pass, ratio, seconds
 
@@ -93,7 +93,7 @@ def typed_factors(p: Pass, k: int, apart: bool = False) -> gtsam.NonlinearFactor
     for m in seen:
         sensor = q.sensors[m.sensor]
         keys = [key_of(p, k, place[b.name]) for b in sensor.reads]
-        out.add(graph.measurement_factor(sensor, m, keys))
+        out.add(gtsam_factors.measurement_factor(sensor, m, keys))
     if k == 0:
         for i, block in enumerate(q.layout):
             rows, value = q.layout.tangent(block.name), q.layout.value(q.prior.x, block.name)
@@ -107,7 +107,7 @@ def typed_factors(p: Pass, k: int, apart: bool = False) -> gtsam.NonlinearFactor
     for name, process in q.processes.items():
         blocks = process.advances + process.reads
         out.add(
-            graph.process_factor(
+            gtsam_factors.process_factor(
                 *(process, q.epochs[k - 1].t, q.epochs[k].inputs[name]),
                 [key_of(p, k - 1, place[b.name]) for b in blocks],
                 [key_of(p, k, place[b.name]) for b in process.advances],
@@ -123,7 +123,7 @@ def typed_values(p: Pass, x: Array, first: int = 0) -> gtsam.Values:
     for k in range(len(x)):
         for i, block in enumerate(p.assembly.layout):
             value = p.assembly.layout.value(x[k], block.name)
-            graph.insert_block(values, key_of(p, first + k, i), block, value)
+            gtsam_factors.insert_block(values, key_of(p, first + k, i), block, value)
     return values
 
 
@@ -133,7 +133,7 @@ def trajectory(p: Pass, values: gtsam.Values) -> Array:
     out = np.empty_like(p.start)
     for k in range(len(out)):
         for i, block in enumerate(layout):
-            value = graph.read_block(values, key_of(p, k, i), block)
+            value = gtsam_factors.read_block(values, key_of(p, k, i), block)
             out[k, layout.stored(block.name)] = value.reshape(-1)
     return out
 

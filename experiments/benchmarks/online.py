@@ -12,10 +12,10 @@ import gtsam
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.isam2 import IncrementalSmoother
 from relnav_graph.estimators.online import online
-from relnav_graph.problem import Problem
+from relnav_graph.linear.assembly import Assembly
 
 from .batch import key_of, typed_factors, typed_values
 from .passes import Pass, seconds

@@ -15,10 +15,10 @@ from scipy.sparse import bsr_array, csc_array, csr_array, vstack
 from scipy.sparse.linalg import LinearOperator, splu
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import MeasurementRows, ProcessRows
 from relnav_graph.estimators.ekf import KalmanFilter
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.sweep import anchor_of, linearize
+from relnav_graph.linear.assembly import MeasurementRows, ProcessRows
+from relnav_graph.linear.elimination import anchor_of, linearize
 
 from .batch import solve_ours
 from .passes import SAME, Pass, seconds

@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Truth
 from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.problem import Epoch, Problem, make_epochs
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.sim import Timing, measure, stream
-from relnav_graph.track import Truth
 
 SCENARIO = Path(__file__).parents[1] / "zhang2015_close.toml"
 #: What "the same optimum" means, in sigmas of every state.

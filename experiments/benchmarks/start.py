@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
 from relnav_graph.metrics import score
-from relnav_graph.models import derived_quantities
 
 from .passes import scenario_of, seconds
 

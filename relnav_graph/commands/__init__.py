@@ -11,19 +11,18 @@ from typing import Any
 
 import click
 
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import GROUP, try_estimator
 from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
 from relnav_graph.io.readers import read_raw
 from relnav_graph.loop import fly_all, warm_up
 from relnav_graph.metrics import summary
-from relnav_graph.models import derived_quantities
-from relnav_graph.recording import Recording
 from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario
 from relnav_graph.settings import override, read_toml
 from relnav_graph.tables import table as comparison_table
-from relnav_graph.track import Track
 
 __all__ = ["Pass", "estimate", "is_dataset", "open_pass", "show_progress", "write_outputs"]
 

@@ -10,10 +10,10 @@ import click
 from relnav_graph.arrays import Array
 from relnav_graph.bounds import true_trajectory
 from relnav_graph.commands import Pass, open_pass, show_progress
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import try_estimator
-from relnav_graph.models import derived_quantities
-from relnav_graph.problem import Problem
 
 
 def _nominal(run: Pass, problem: Problem) -> Array:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from relnav_graph import estimators, models, sim
+from relnav_graph import estimators, sim
+from relnav_graph.core import models
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import READERS
 from relnav_graph.registry import classes

@@ -23,10 +23,7 @@ __all__ = ["busy", "cache_folder", "holds_a_lock", "is_empty", "locked"]
 
 _PACKAGE = Path(__file__).parents[1]
 #: What compiled code of any room may call or take constants from.
-_LOWER_FLOORS = (
-    *("compiled", "constants.py", "maths", "backward.py", "filtering.py", "loops.py"),
-    *("sweep.py", "updating.py"),
-)
+_LOWER_FLOORS = ("compiled", "constants.py", "linear", "maths")
 
 
 @cache

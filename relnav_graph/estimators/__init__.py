@@ -8,10 +8,10 @@ from typing import ClassVar, Protocol, runtime_checkable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
-from relnav_graph.problem import Problem
 from relnav_graph.registry import find_class
-from relnav_graph.track import Track
 
 __all__ = ["GROUP", "Estimator", "diverged", "run_estimator", "try_estimator"]
 

@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass, judge
 from relnav_graph.estimators.gating import (
@@ -21,10 +22,9 @@ from relnav_graph.estimators.gating import (
     thresholds,
 )
 from relnav_graph.estimators.rts import smooth
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.maths.losses import Loss
-from relnav_graph.problem import Prior, Problem
-from relnav_graph.sweep import Anchor, Conditionals, System, anchor_of, linearize
-from relnav_graph.track import Status, Track
 
 #: What may go wrong on the way to a solution, when the problem is in order.
 UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)

@@ -10,7 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Innovations, Status, Track
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.gating import (
     count_downweighted,
@@ -20,9 +22,8 @@ from relnav_graph.estimators.gating import (
     thresholds,
 )
 from relnav_graph.estimators.source import Source
-from relnav_graph.filtering import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
-from relnav_graph.problem import Epoch, Problem
-from relnav_graph.track import Innovations, Status, Track
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.filter import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
 
 __all__ = ["Ekf", "FilterPass", "IteratedEkf", "KalmanFilter", "filter_pass"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
 from relnav_graph.estimators.ekf import FilterPass
 from relnav_graph.estimators.health import Health
-from relnav_graph.problem import Epoch
+from relnav_graph.linear.assembly import Assembly
 
 __all__ = ["Engine", "EngineState", "Estimate", "Refusal"]
 

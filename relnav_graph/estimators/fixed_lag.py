@@ -1,8 +1,8 @@
 """Fixed-lag smoother: Gauss-Newton over a window of the newest epochs.
 
 The window is a chain of nodes, eliminated in order of time by the same rows and the same
-compiled code as the batch's (`relnav_graph.sweep`). A new epoch adds one node; the others
-keep their linearisation until their estimate has moved away from it, and then the chain is
+compiled code as the batch's (`relnav_graph.linear.elimination`). A new epoch adds one node; the
+others keep their linearisation until their estimate has moved away from it, and then the chain is
 made anew from the first of those on, as in iSAM2 (Kaess et al. 2012), but along one line.
 What has left the window stands in one linear summary at its start, at the linearisation with
 which it left. So the estimate is the full batch's over all that was seen, up to the
@@ -26,7 +26,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import SAME_TIME
+from relnav_graph.core.packing import pack, under, unpack
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter, judge
@@ -36,12 +40,10 @@ from relnav_graph.estimators.gating import (
     lost,
     residual_weights,
 )
-from relnav_graph.estimators.packing import pack, under, unpack
 from relnav_graph.estimators.source import Recorded, Source
 from relnav_graph.estimators.window import Left, Window, linearized
-from relnav_graph.problem import SAME_TIME, Epoch, Problem
-from relnav_graph.sweep import Anchor, anchor_of
-from relnav_graph.track import Status, Track
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import Anchor, anchor_of
 
 __all__ = ["FixedLag", "FixedLagEngine"]
 

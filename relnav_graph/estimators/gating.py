@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly, MeasurementRows
-from relnav_graph.loops import ROWS
+from relnav_graph.linear.assembly import Assembly, MeasurementRows
+from relnav_graph.linear.tables import ROWS
 from relnav_graph.maths.losses import Loss, root_weights
 
 __all__ = [

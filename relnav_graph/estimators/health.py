@@ -16,9 +16,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.ekf import TRUSTED, FilterPass
-from relnav_graph.models import Sensor
-from relnav_graph.problem import Epoch, Problem
 
 __all__ = ["Health", "Monitor", "caution"]
 

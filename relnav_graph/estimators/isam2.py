@@ -21,16 +21,17 @@ import gtsam
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly, process_rows
-from relnav_graph.chain import epoch_factor, interval_factor
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
 from relnav_graph.estimators.gating import count_downweighted, count_rejected, lost
 from relnav_graph.estimators.source import Recorded, Source
-from relnav_graph.problem import Epoch, Problem
-from relnav_graph.sweep import Anchor, Conditionals
-from relnav_graph.track import Status, Track
+from relnav_graph.linear.assembly import Assembly, process_rows
+from relnav_graph.linear.elimination import Anchor, Conditionals
+from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
 
 __all__ = ["IncrementalSmoother", "Isam2"]
 

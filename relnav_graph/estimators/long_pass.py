@@ -15,15 +15,16 @@ from itertools import chain, islice
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import at_rounding
 from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
 from relnav_graph.estimators.gating import count_downweighted, count_rejected
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.problem import Epoch, Problem
-from relnav_graph.sweep import Anchor, Conditionals, System, anchor_of, linearize
-from relnav_graph.track import Track
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
 
 __all__ = ["smooth_long_pass"]
 

@@ -20,7 +20,11 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import SAME_TIME, Measurement
+from relnav_graph.core.packing import Repeats, held, merged, pack, under, unpack, without_repeats
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError, InputError, LateError, ModelError, RelnavError
 from relnav_graph.estimators import GROUP
 from relnav_graph.estimators.ekf import FilterPass
@@ -33,19 +37,8 @@ from relnav_graph.estimators.health import (
     Monitor,
     caution,
 )
-from relnav_graph.estimators.packing import (
-    Repeats,
-    held,
-    merged,
-    pack,
-    under,
-    unpack,
-    without_repeats,
-)
-from relnav_graph.models import Measurement
-from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
-from relnav_graph.state import Layout
 
 __all__ = ["Engine", "EngineState", "Estimate", "Online", "Refusal", "online"]
 

@@ -9,12 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.backward import backward
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
-from relnav_graph.filtering import FAILURES
-from relnav_graph.problem import Problem
-from relnav_graph.track import Track
+from relnav_graph.linear.filter import FAILURES
+from relnav_graph.linear.rts import backward
 
 __all__ = ["Rts", "smooth"]
 

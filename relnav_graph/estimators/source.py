@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
-from relnav_graph.problem import Epoch, Problem
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.linear.assembly import Assembly
 
 __all__ = ["Recorded", "Source"]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import FilterPass
-from relnav_graph.problem import Epoch
-from relnav_graph.state import Layout
-from relnav_graph.sweep import Anchor, Conditionals, linearize
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import Anchor, Conditionals, linearize
 
 __all__ = ["Chain", "Left", "Window", "joined", "linearized"]
 
@@ -39,8 +39,8 @@ class Left:
 class Chain:
     """K epochs linearised at x (K, size), and eliminated.
 
-    known (K, n, n + 1): U, u of each, see `relnav_graph.sweep.System`; conditionals: of each
-    given the next one; d (K, n): the estimates, from x.
+    known (K, n, n + 1): U, u of each, see `relnav_graph.linear.elimination.System`; conditionals:
+    of each given the next one; d (K, n): the estimates, from x.
     """
 
     x: Array

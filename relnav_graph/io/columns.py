@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
-from relnav_graph.state import Block
 
 __all__ = [
     "Format",

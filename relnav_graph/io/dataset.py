@@ -31,6 +31,10 @@ from numpy.typing import NDArray
 
 from relnav_graph import __version__
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.columns import (
@@ -42,12 +46,7 @@ from relnav_graph.io.columns import (
     to_components,
     write_table,
 )
-from relnav_graph.models import Measurement, Sensor
-from relnav_graph.problem import InputSeries
-from relnav_graph.recording import Recording
 from relnav_graph.settings import read_toml
-from relnav_graph.state import Block
-from relnav_graph.track import Truth
 
 __all__ = [
     "Format",

@@ -54,13 +54,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Derived, Sensor
+from relnav_graph.core.measurement import SAME_TIME, Measurement
+from relnav_graph.core.problem import Prior
+from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.columns import from_components, to_components
-from relnav_graph.models import Derived, Measurement, Sensor
-from relnav_graph.problem import SAME_TIME, Prior
-from relnav_graph.recording import Recording
 from relnav_graph.settings import from_pydantic
-from relnav_graph.state import Block, Layout
 
 __all__ = [
     "Header",

@@ -19,12 +19,12 @@ import numpy as np
 
 from relnav_graph import __version__
 from relnav_graph.arrays import Array
+from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.columns import component_columns, from_components, to_components, write_table
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
-from relnav_graph.state import Block, Layout
-from relnav_graph.track import Track, Truth
 
 __all__ = ["read_results", "write_csv", "write_results"]
 

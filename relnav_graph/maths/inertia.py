@@ -27,14 +27,17 @@ def second_moments(J: Array) -> Array:
 
 
 def check_inertia(where: str, J: Array) -> None:
-    """Raise InputError on an inertia J (3, 3), kg m^2, that no body of positive mass has.
+    """Raise InputError on an inertia that no body of positive mass has.
+
+    J: kg m^2, a matrix (3, 3), or principal moments (3,).
 
     It has D positive definite (Wensing, Kim, Slotine 2018, section III): each principal
     moment is below the sum of the other two.
     """
-    symmetric = np.abs(J - J.T).max() <= 1e-9 * np.abs(J).max()
-    if not symmetric or not np.linalg.eigvalsh(second_moments(J)).min() > 0:
+    matrix = np.diag(J) if J.ndim == 1 else J
+    symmetric = np.abs(matrix - matrix.T).max() <= 1e-9 * np.abs(matrix).max()
+    if not symmetric or not np.linalg.eigvalsh(second_moments(matrix)).min() > 0:
         raise InputError(
-            f"{where}: found {np.asarray(J).tolist()} kg m^2, which no body has: expected a"
-            " symmetric matrix whose principal moments are each below the sum of the other two"
+            f"{where}: found {J.tolist()} kg m^2, which no body has: expected"
+            " symmetry, and principal moments each below the sum of the other two"
         )

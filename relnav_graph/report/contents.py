@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.manifest import PASS_FILE, PassManifest
 from relnav_graph.io.results import read_results
 from relnav_graph.loop import run_passes
 from relnav_graph.metrics import summary, versions
-from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import Scenario, make_scenario
 from relnav_graph.study.collect import Collected
 from relnav_graph.study.conduct import study_summary
 from relnav_graph.study.folder import StudyFolder
-from relnav_graph.track import Track, Truth
 
 __all__ = ["PassContents", "StudyContents", "WorstRun", "read_contents"]
 

@@ -19,14 +19,14 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatterSciNotation
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Kind
 from relnav_graph.deviation import chi2_band
-from relnav_graph.models import derived_quantities
 from relnav_graph.plots import STYLE, WIDTH, row_styles, symbol
 from relnav_graph.report.contents import StudyContents
-from relnav_graph.state import Block
 from relnav_graph.study.collect import Collected, RowRuns
 from relnav_graph.study.record import bin_edges
-from relnav_graph.track import Kind
 
 __all__ = ["RunFigures", "plain"]
 

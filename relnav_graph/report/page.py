@@ -12,9 +12,9 @@ import jinja2
 from matplotlib.figure import Figure
 
 from relnav_graph import __version__
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
-from relnav_graph.models import derived_quantities
 from relnav_graph.plots import error_figures, trajectory_figure
 from relnav_graph.report import setting, tables
 from relnav_graph.report.contents import PassContents, StudyContents

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.catalogue import RELATIVE_POSITION, RELATIVE_POSITION_T, TARGET_ATTITUDE
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.deviation import StateEstimates, estimates, finite
 from relnav_graph.metrics import with_smoothed
-from relnav_graph.models import derived_quantities
 from relnav_graph.plots import row_styles
 from relnav_graph.report.contents import PassContents
-from relnav_graph.state import RELATIVE_POSITION, RELATIVE_POSITION_T, TARGET_ATTITUDE
 
 __all__ = ["Scene", "make_scene"]
 

@@ -10,13 +10,13 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.problem import layout_of
+from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import GeometryError, InputError
-from relnav_graph.models import Dynamics, Measurement, Sensor
-from relnav_graph.problem import InputSeries, layout_of
-from relnav_graph.recording import Recording
 from relnav_graph.sim.interval_inputs import IntervalInputs
 from relnav_graph.sim.own_models import ConstantInput, OwnModels
-from relnav_graph.track import Truth
 
 __all__ = ["GROUP", "TruthModel", "simulate", "stream"]
 

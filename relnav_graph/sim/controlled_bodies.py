@@ -9,12 +9,12 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
 from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.sim.attitude_dynamics import advance, circular_orbit
 from relnav_graph.sim.truth import checked_times
-from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["ControlledBodies"]

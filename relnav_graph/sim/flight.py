@@ -13,7 +13,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.state import Block
+from relnav_graph.core.state import Block
 
 __all__ = ["ControlledTruth", "Controller", "Flight"]
 
@@ -43,7 +43,7 @@ class ControlledTruth(Protocol):
 
     @property
     def source(self) -> str:
-        """What it is, and what it leaves out; see `relnav_graph.track.Truth`."""
+        """What it is, and what it leaves out; see `relnav_graph.core.track.Truth`."""
 
     def fly(self, t: float, rng: np.random.Generator) -> Flight:
         """A flight that begins at time t, s."""

@@ -11,8 +11,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.measurement import InputSeries
 from relnav_graph.errors import InputError
-from relnav_graph.problem import InputSeries
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["RateIntegratingGyro"]

@@ -13,11 +13,11 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.core.track import Truth
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import TRACELESS, check_inertia, second_moments
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
 from relnav_graph.sim.truth import OrbitElements, checked_times
-from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["InertialPair", "TumblingBody", "inertia_parameters"]
@@ -38,7 +38,7 @@ def _moments(J: Array) -> tuple[Array, Array]:
 
 
 def inertia_parameters(J: Array) -> Array:
-    """The block `state.INERTIA_MATRIX` (5,) of an inertia J (3, 3) that a body can have."""
+    """The block `catalogue.INERTIA_MATRIX` (5,) of an inertia J (3, 3) that a body can have."""
     moments, R_tp = _moments(J)
     logs = np.log(moments)
     S = R_tp @ np.diag(logs - logs.mean()) @ R_tp.T

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
-from relnav_graph.problem import SAME_TIME, InputSeries
 from relnav_graph.sim.own_models import ConstantInput
 
 __all__ = ["IntervalInputs"]

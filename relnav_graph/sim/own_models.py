@@ -14,11 +14,12 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Dynamics
+from relnav_graph.core.epochs import process_inputs
+from relnav_graph.core.measurement import InputSeries
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
-from relnav_graph.models import Dynamics
-from relnav_graph.problem import InputSeries, process_inputs
-from relnav_graph.state import Layout
-from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["ConstantInput", "OwnModels"]

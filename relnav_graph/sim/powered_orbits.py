@@ -9,11 +9,11 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
 from relnav_graph.sim.powered_dynamics import fly_orbits, sample_attitude, wobbled
 from relnav_graph.sim.truth import OrbitElements, checked_times
-from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["PoweredFlight", "PoweredOrbits"]

@@ -12,8 +12,8 @@ from scipy.linalg import solve_continuous_are
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.core.state import Block
 from relnav_graph.maths import so3
-from relnav_graph.state import Block
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["Rendezvous"]

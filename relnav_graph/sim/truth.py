@@ -13,11 +13,11 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.sim.integrate import STATE_SIZE, integrate
-from relnav_graph.track import Truth
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["OrbitElements", "RigidBodyPair", "checked_times"]
@@ -107,7 +107,7 @@ class RigidBodyPair(OrbitElements):
     def __post_init__(self) -> None:
         check_fields(self)
         self._orbits()  # it refuses what is no ellipse
-        check_inertia("RigidBodyPair.target_inertia", np.diag(self.target_inertia))
+        check_inertia("RigidBodyPair.target_inertia", self.target_inertia)
 
     def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
         """Truth at `times` (N,), s: increasing, the first not before t = 0.

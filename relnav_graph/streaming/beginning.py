@@ -12,10 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
-from relnav_graph.estimators.packing import merged, pack, under, unpack
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import SAME_TIME
+from relnav_graph.core.packing import merged, pack, under, unpack
+from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.initialise import FRAMES, decide, hypotheses
-from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
+from relnav_graph.linear.assembly import Assembly
 
 __all__ = ["Beginning"]
 

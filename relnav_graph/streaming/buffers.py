@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Dynamics
+from relnav_graph.core.epochs import process_inputs
+from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.errors import InputError
 from relnav_graph.io.lines import InputSample
-from relnav_graph.models import Dynamics, Measurement
-from relnav_graph.problem import SAME_TIME, InputSeries, process_inputs
 
 __all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
 

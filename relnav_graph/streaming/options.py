@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from relnav_graph.core.measurement import Measurement
 from relnav_graph.io.lines import Header, InputSample, LineError, Tick
-from relnav_graph.models import Measurement
 
 __all__ = ["PATIENCE", "Options", "Parsed"]
 

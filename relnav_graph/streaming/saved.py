@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.measurement import Measurement
 from relnav_graph.io.lines import Header, InputSample, input_object, measurement_object
-from relnav_graph.models import Measurement
 from relnav_graph.streaming.buffers import WaitingEpoch
 
 __all__ = [

@@ -17,9 +17,13 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import SAME_TIME, Measurement
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.packing import under
+from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators.online import Estimate, Online
-from relnav_graph.estimators.packing import under
 from relnav_graph.io.lines import (
     Header,
     InputSample,
@@ -29,8 +33,6 @@ from relnav_graph.io.lines import (
     parse_line,
 )
 from relnav_graph.magnitude import wrong_unit
-from relnav_graph.models import Measurement, derived_quantities
-from relnav_graph.problem import SAME_TIME, Epoch, Prior, Problem
 from relnav_graph.streaming import saved
 from relnav_graph.streaming.beginning import Beginning
 from relnav_graph.streaming.buffers import InputBuffer, Inputs, Waiting, WaitingEpoch

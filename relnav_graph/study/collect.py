@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.track import Kind
 from relnav_graph.study.record import Record
-from relnav_graph.track import Kind
 
 __all__ = ["Collected", "RowRuns", "collect"]
 

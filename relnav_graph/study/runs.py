@@ -12,9 +12,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relnav_graph import loop, sim
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators import try_estimator
-from relnav_graph.models import derived_quantities
 from relnav_graph.scenario import Scenario, make_scenario
 from relnav_graph.study.record import Record, make_record
 

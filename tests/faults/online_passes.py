@@ -11,11 +11,12 @@ import numpy as np
 from passes import ZHANG, toy_measurements, toy_problem
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Recording
 from relnav_graph.estimators.online import Estimate, Online, online
-from relnav_graph.problem import Epoch, Problem
-from relnav_graph.recording import Recording
 from relnav_graph.scenario import load_scenario
-from relnav_graph.state import Layout
 
 KINDS = ("ekf", "iekf", "fixed_lag", "isam2")
 WINDOW = 12.0

@@ -11,8 +11,8 @@ import pytest
 from passes import ZHANG, relnav
 from streams import changed, feed, lines_of, session_of, toy, write_scenario
 
+from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
-from relnav_graph.models import Measurement
 from relnav_graph.scenario import Scenario, load_scenario
 
 Toy = tuple[Scenario, list[str]]

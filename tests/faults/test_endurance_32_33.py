@@ -13,14 +13,15 @@ import pytest
 from online_passes import KINDS, driven, toy
 from passes import FIX, ONE_ID, PRIOR, PROCESSES
 
-from relnav_graph import sweep
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly
+from relnav_graph.core.epochs import make_epochs
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators import window
 from relnav_graph.estimators.fixed_lag import FixedLagEngine
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Problem, make_epochs
+from relnav_graph.linear import elimination
+from relnav_graph.linear.assembly import Assembly
 
 STEPS, WINDOW = 20_000, 2.0
 
@@ -43,7 +44,7 @@ def _fixes() -> Problem:
 def test_row_32_twenty_thousand_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory is flat, and so is the work: epochs in the window, rows linearised."""
     problem, work = _fixes(), list[int]()
-    linearize = sweep.linearize
+    linearize = elimination.linearize
 
     def counted(assembly: Assembly, *arguments: Any, **options: Any) -> Any:
         work[-1] += int(assembly.row_offsets[-1])

@@ -14,12 +14,12 @@ from toy_model import PositionFix
 
 from factors.beacon_los import BeaconLineOfSight
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import CHASER_ATTITUDE
+from relnav_graph.core.problem import Prior
+from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.columns import component_columns, from_components, to_components
-from relnav_graph.problem import Prior
-from relnav_graph.state import CHASER_ATTITUDE
-from relnav_graph.track import Track
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,10 +7,11 @@ import threading
 import numpy as np
 from passes import FIX, PROCESSES
 
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.track import Track
 from relnav_graph.estimators import run_estimator
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch, Prior, Problem
-from relnav_graph.track import Track
 
 COUNT = 100_000
 

@@ -14,13 +14,13 @@ from online_passes import assert_same, driven, snapshot
 from passes import EXPERIMENTS, differences, stored
 from streams import changed, feed, lines_of, session_of
 
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch, Problem, make_epochs
-from relnav_graph.recording import Recording
 from relnav_graph.scenario import Scenario, load_scenario
-from relnav_graph.track import Track
 
 Change = Callable[[Measurement], Measurement | None]
 

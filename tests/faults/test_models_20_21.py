@@ -13,11 +13,12 @@ from toy_model import PositionFix, ThermalDrift
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
 from relnav_graph.errors import ModelError
 from relnav_graph.estimators.online import Estimate, Online, online
 from relnav_graph.io.lines import Header
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch, Problem
 from relnav_graph.streaming.session import Options, Session
 
 KINDS = ("ekf", "iekf", "isam2", "fixed_lag")

@@ -14,16 +14,19 @@ from passes import FIX, ONE_ID, PROCESSES, RANGER, SENSORS, toy_measurements, to
 from toy_model import RANGE_DRIFT, DriftingRange, PositionFix
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
-from relnav_graph import graph
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import RELATIVE_POSITION
+from relnav_graph.core.epochs import make_epochs
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.state import Block
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import UNSOLVED
+from relnav_graph.linear import gtsam_factors
 from relnav_graph.maths.losses import Loss
-from relnav_graph.models import DynamicsModel, Measurement
-from relnav_graph.problem import Prior, Problem, make_epochs
-from relnav_graph.state import RELATIVE_POSITION, Block
 
 # --- a step that fails changes nothing ---------------------------------------------------------
 
@@ -89,8 +92,8 @@ def test_row_24_an_indeterminate_system(kind: str) -> None:
 
 
 def test_row_24_the_reason_names_blocks_and_times() -> None:
-    from relnav_graph.assembly import Assembly
-    from relnav_graph.sweep import Anchor, linearize
+    from relnav_graph.linear.assembly import Assembly
+    from relnav_graph.linear.elimination import Anchor, linearize
 
     problem = toy()
     fixes = [m for m in toy_measurements() if m.sensor == "fix"]
@@ -153,7 +156,7 @@ BAD_KEYS: dict[str, Any] = {
 @pytest.mark.parametrize("name", BAD_KEYS)
 def test_row_25_bad_keys_are_refused_before_gtsam_sees_them(name: str) -> None:
     with pytest.raises(InputError, match=r"drifting_range: found keys .*'relative_position'"):
-        graph.measurement_factor(RANGER, RANGES, BAD_KEYS[name])
+        gtsam_factors.measurement_factor(RANGER, RANGES, BAD_KEYS[name])
 
 
 @pytest.mark.parametrize(
@@ -171,7 +174,7 @@ def test_row_25_a_value_of_the_wrong_size_or_type(key: int, block: Block, value:
 
     values = gtsam.Values()
     with pytest.raises((InputError, ValueError), match=r"found|convert|not a rotation"):
-        graph.insert_block(values, key, block, value)
+        gtsam_factors.insert_block(values, key, block, value)
     assert values.size() == 0
 
 

@@ -10,11 +10,13 @@ import pytest
 from online_passes import KINDS, driven, fresh, in_sigmas, zhang
 from passes import EXPERIMENTS, RANGER, ZHANG, differences, stored, toy_measurements, toy_problem
 
+from relnav_graph.core.epochs import make_epochs
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.maths.losses import Loss
 from relnav_graph.metrics import score
-from relnav_graph.models import Measurement, derived_quantities
-from relnav_graph.problem import Problem, make_epochs
 from relnav_graph.scenario import load_scenario
 
 GATES = {"fix": 1 - 1e-6, "ranger": 1 - 1e-6}

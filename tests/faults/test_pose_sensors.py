@@ -13,14 +13,14 @@ import pytest
 from passes import EXPERIMENTS, ONE_ID, differences, sigmas, stored
 from passes_odometry import odometry_scenario
 
+from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.maths import so3
-from relnav_graph.models import Measurement, Sensor
-from relnav_graph.problem import Problem
-from relnav_graph.recording import Recording
 from relnav_graph.scenario import Scenario, load_scenario
-from relnav_graph.track import Track
 
 Change = Callable[[Measurement], Measurement | None]
 

@@ -7,7 +7,7 @@ import pytest
 from online_passes import KINDS, driven, fresh, toy, without, zhang
 from passes import stored
 
-from relnav_graph.problem import Epoch
+from relnav_graph.core.epochs import Epoch
 
 
 def _idle(t: float) -> Epoch:

@@ -19,9 +19,9 @@ from online_passes import (
 )
 from passes import ONE_ID, toy_problem
 
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError, LateError
-from relnav_graph.models import Measurement
-from relnav_graph.problem import Epoch, make_epochs
 
 
 def _ranger(epoch: Epoch) -> Measurement:

@@ -11,12 +11,13 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import TARGET_ATTITUDE, TARGET_RATE
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.source import Recorded, Source
 from relnav_graph.maths import dense, so3
-from relnav_graph.problem import Epoch, Problem
-from relnav_graph.state import TARGET_ATTITUDE, TARGET_RATE
-from relnav_graph.track import Status, Track
 
 __all__ = ["MomentumObserver"]
 

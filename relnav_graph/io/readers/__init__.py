@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
-from relnav_graph.recording import Recording
 
 __all__ = ["READERS", "read_raw"]
 

@@ -22,13 +22,11 @@ from pathlib import Path
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
-from relnav_graph.models import Measurement
-from relnav_graph.problem import InputSeries
-from relnav_graph.recording import Recording
 from relnav_graph.sim.inertial import inertia_parameters
-from relnav_graph.track import Truth
 
 __all__ = ["authors_rate", "read"]
 

@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.recording import Recording
-from relnav_graph.track import Truth
 
 __all__ = ["read"]
 

@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError, ModelError
-from relnav_graph.models import Measurement, Sensor
 
 __all__ = ["inverse_cholesky", "measurement_noise", "raised", "with_constraints"]
 

@@ -1,17 +1,25 @@
-"""`Track`: what an estimator gives, and `Truth`, what it is compared with."""
+"""`Recording`, `Truth`, `Track`: the data of one pass, what really was, what an estimator gives."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.state import Block, Layout
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.state import Block, Layout
 
-__all__ = ["Innovations", "Kind", "Status", "Track", "Truth"]
+__all__ = [
+    "Innovations",
+    "Kind",
+    "Recording",
+    "Status",
+    "Track",
+    "Truth",
+]
 
 Kind = Literal["filtered", "fixed-lag", "smoothed"]
 Status = Literal["ok", "degraded", "diverged"]
@@ -95,3 +103,19 @@ class Truth:
     t: Array
     values: Mapping[str, Array]
     source: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Measurements, inputs and, where known, truth.
+
+    times: epochs to estimate at, s (N,); every measurement falls on one of them.
+    settings: values that the data bring for the scenario (camera constants, points), as
+    nested tables; a value written in the scenario wins over them.
+    """
+
+    times: Array
+    measurements: tuple[Measurement, ...]
+    inputs: Mapping[str, InputSeries] = field(default_factory=dict)
+    truth: Truth | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)

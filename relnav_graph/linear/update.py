@@ -9,7 +9,8 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
-from relnav_graph.loops import Tables, observe, rows_of
+from relnav_graph.linear.rows import observe
+from relnav_graph.linear.tables import Tables, rows_of
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
     SPARE,

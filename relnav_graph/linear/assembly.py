@@ -16,14 +16,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph import loops
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import dynamics_address, sensor_address
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.epochs import Epoch, check_epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError, ModelError
-from relnav_graph.models import Dynamics, Sensor
-from relnav_graph.noise import inverse_cholesky, measurement_noise, raised, with_constraints
-from relnav_graph.problem import Epoch, Problem, check_epoch
-from relnav_graph.state import Layout
+from relnav_graph.linear import rows
+from relnav_graph.linear.tables import EPOCH, Q_DATA, ROW, ROWS, SENSOR, WHITEN, Z_DATA, Tables
+from relnav_graph.linear.whitening import (
+    inverse_cholesky,
+    measurement_noise,
+    raised,
+    with_constraints,
+)
 
 __all__ = ["Assembly", "MeasurementRows", "ProcessRows"]
 
@@ -72,7 +79,7 @@ def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Arr
     """
     out = ProcessRows(np.empty(F.shape[:2]), np.empty(F.shape), np.empty(whiten.shape))
     arrays = [np.ascontiguousarray(a) for a in (x_next, x1, F, whiten)]
-    loops.interval_rows(*arrays, layout.kinds, out.e, out.A, out.B)
+    rows.interval_rows(*arrays, layout.kinds, out.e, out.A, out.B)
     return out
 
 
@@ -143,7 +150,7 @@ class Assembly:
             for k, epoch in enumerate(epochs[len(epochs) - len(starts) :]):
                 u = epoch.inputs[name]
                 intervals[k, i] = numbers.add(u)[0], len(u)
-        self.tables = loops.Tables(
+        self.tables = Tables(
             *(sensor_table, observations, process_table, intervals),
             *(np.ascontiguousarray(starts), places, numbers.array()),
         )
@@ -172,11 +179,11 @@ class Assembly:
         self.ids = np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for _, m in flat)])
         self.observations = len(self.ids)
         out = np.zeros((self.observations, 8), dtype=np.int64)
-        out[:, loops.SENSOR] = self.sensor_of
-        out[:, loops.EPOCH] = np.repeat(np.array([k for k, _ in flat], dtype=np.int64), sizes)
+        out[:, SENSOR] = self.sensor_of
+        out[:, EPOCH] = np.repeat(np.array([k for k, _ in flat], dtype=np.int64), sizes)
         ends = np.cumsum(heights[self.sensor_of])
-        out[:, loops.ROW] = ends - heights[self.sensor_of]
-        edges = np.searchsorted(out[:, loops.EPOCH], np.arange(len(epochs) + 1))
+        out[:, ROW] = ends - heights[self.sensor_of]
+        edges = np.searchsorted(out[:, EPOCH], np.arange(len(epochs) + 1))
         self.epoch_offsets = edges.astype(np.int64)
         self.row_offsets = np.concatenate(([0], ends))[edges].astype(np.int64)
         for name, sensor in self._sensors.items():
@@ -192,12 +199,12 @@ class Assembly:
             data = sensor.observation_data(self.ids[own]), z
             where = f"sensor {name!r}"
             whiten = inverse_cholesky(where, raised(where, noise, z))
-            for column, values in zip((loops.Q_DATA, loops.Z_DATA), data, strict=True):
+            for column, values in zip((Q_DATA, Z_DATA), data, strict=True):
                 begin, end = numbers.add(values)
                 width = (end - begin) // len(own)
                 out[own, column] = begin + width * np.arange(len(own))
                 out[own, column + 1] = out[own, column] + width
-            out[own, loops.WHITEN] = numbers.add(whiten)[0] + sensor.rows**2 * np.arange(len(own))
+            out[own, WHITEN] = numbers.add(whiten)[0] + sensor.rows**2 * np.arange(len(own))
         return out
 
     def at(self, k: int) -> Assembly:
@@ -211,8 +218,8 @@ class Assembly:
         one.row_offsets = self.row_offsets[k : k + 2] - self.row_offsets[k]
         one.epoch_offsets = self.epoch_offsets[k : k + 2] - first
         observations = tables.observations[first:last].copy()
-        observations[:, loops.EPOCH] = 0
-        observations[:, loops.ROW] -= self.row_offsets[k]
+        observations[:, EPOCH] = 0
+        observations[:, ROW] -= self.row_offsets[k]
         i = k - len(self.times) + len(tables.starts)  # the interval that leads to epoch k
         interval = slice(max(i, 0), i + 1)
         one.tables = tables._replace(
@@ -267,14 +274,14 @@ class Assembly:
         one.epoch_offsets = np.concatenate([[0], self.epoch_offsets])
         one.row_offsets = np.concatenate([[0], self.row_offsets])
         observations = self.tables.observations.copy()
-        observations[:, loops.EPOCH] += 1
+        observations[:, EPOCH] += 1
         one.tables = self.tables._replace(observations=observations)
         return one
 
     @property
     def heights(self) -> Indices:
         """Rows of each observation (observations,)."""
-        rows: Indices = self.tables.sensors[self.sensor_of, loops.ROWS]
+        rows: Indices = self.tables.sensors[self.sensor_of, ROWS]
         return rows
 
     def rows_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -293,10 +300,10 @@ class Assembly:
             i = int(np.nonzero(status < 0)[0][0])
             o = first + i
             name = self.sensor_names[self.sensor_of[o]]
-            t = self.times[self.tables.observations[o, loops.EPOCH]]
+            t = self.times[self.tables.observations[o, EPOCH]]
             raise ModelError(
                 f"sensor {name!r} ({self._sensors[name].kind}), id {self.ids[o]}"
-                f" at t = {t} s: the kernel {loops.BROKEN[int(status[i])]}"
+                f" at t = {t} s: the kernel {rows.BROKEN[int(status[i])]}"
             )
 
     def measure(self, x: Array, weight: Array) -> MeasurementRows:
@@ -309,7 +316,7 @@ class Assembly:
         count = int(self.row_offsets[-1])
         r, H = np.empty(count), np.empty((count, self.layout.dim))
         status = np.empty(self.observations, dtype=np.int64)
-        loops.measure(self.tables, x, weight, r, H, status)
+        rows.measure(self.tables, x, weight, r, H, status)
         self.check(status)
         return MeasurementRows(r, H, status)
 
@@ -323,7 +330,7 @@ class Assembly:
         process = self._processes[name]
         where = f"process {name!r} ({process.kind}) from t = {self.tables.starts[k]} s"
         if code < 0:
-            raise ModelError(f"{where}: the kernel {loops.BROKEN[code]}")
+            raise ModelError(f"{where}: the kernel {rows.BROKEN[code]}")
         raise GeometryError(f"{where}: {process.failure(code)}")
 
     def predict(self, x: Array, P: Array) -> tuple[Array, Array]:
@@ -341,7 +348,7 @@ class Assembly:
         m, n = len(self.tables.starts), self.layout.dim
         x_next, F, Q = np.zeros((m, self.layout.size)), np.empty((m, n, n)), np.empty((m, n, n))
         failure = np.zeros(3, dtype=np.int64)
-        loops.transition(self.tables, x, x_next, F, Q, failure)
+        rows.transition(self.tables, x, x_next, F, Q, failure)
         self.check_propagated(failure)
         return x_next, F, Q
 
@@ -350,7 +357,7 @@ class Assembly:
         whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
         if not np.einsum("kii->ki", Q).all():
             Q = with_constraints(Q)
-        loops.whitening(self.tables, Q, whiten, failure)
+        rows.whitening(self.tables, Q, whiten, failure)
         if failure[2]:
             name = list(self._processes)[failure[1]]
             _, own = self.layout.gather(self._processes[name].advances)

@@ -18,11 +18,12 @@ import gtsam
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.assembly import Assembly, process_rows
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError
-from relnav_graph.models import Dynamics, Measurement, Sensor
-from relnav_graph.problem import Epoch
-from relnav_graph.state import Block, Layout
+from relnav_graph.linear.assembly import Assembly, process_rows
 
 __all__ = ["insert_block", "measurement_factor", "process_factor", "read_block"]
 
@@ -107,7 +108,7 @@ def process_factor(
     """The factor of one interval, ``local(propagate(x_k), x_k+1)``.
 
     t: start of the interval, s; u (rows, 1 + channels): its inputs, see
-    `relnav_graph.models`; keys: of the blocks advanced and read, at the start; keys_next:
+    `relnav_graph.core.models`; keys: of the blocks advanced and read, at the start; keys_next:
     of the advanced blocks, at the end; noise_at: values of the former at which the noise
     is taken, once. Raises InputError on wrong keys or a noise that is not regular.
     """

@@ -8,11 +8,12 @@ from numba import types
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
-from relnav_graph.loops import TABLES, Tables, observe, propagate, rows_of
+from relnav_graph.linear.rows import observe, propagate
+from relnav_graph.linear.tables import TABLES, Tables, rows_of
+from relnav_graph.linear.update import innovation_covariance, misfit, robust_update
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import cholesky, column_squares, copy, sandwich, solve_lower
 from relnav_graph.maths.losses import root_weight
-from relnav_graph.updating import innovation_covariance, misfit, robust_update
 
 __all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Dynamics
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.errors import InputError
-from relnav_graph.models import Dynamics, Measurement
-from relnav_graph.problem import SAME_TIME, Epoch
 
 __all__ = ["held", "merged", "pack", "under", "unpack", "without_repeats"]
 

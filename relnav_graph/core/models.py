@@ -1,182 +1,32 @@
-"""The contracts of sensors, dynamics and derived quantities, and how models are found.
+"""Mixins that turn a model's kernel into the methods of its contract, and how models are found.
 
-A model is a frozen dataclass in a file of its own. Its formula stands once, in a compiled
-kernel (`relnav_graph.compiled`), and simulator, filter and graph all reach it through the
-same object. The mixins `SensorModel` and `DynamicsModel` turn a kernel into the Python
-methods below; the contracts themselves are structural.
+The contracts themselves (`relnav_graph.core.contracts`) are structural: a model need not
+inherit from these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import GUARD, MARK
+from relnav_graph.core.contracts import Derived, Kernel, Sensor
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.registry import classes
-from relnav_graph.state import Block, Layout
 from relnav_graph.units import check_fields
 
 __all__ = [
-    "Derived",
     "DerivedQuantity",
-    "Dynamics",
     "DynamicsModel",
-    "Measurement",
-    "Sensor",
     "SensorModel",
     "derived_quantities",
 ]
-
-Kernel = Callable[..., Any]
 ENTRY_POINTS = "relnav_graph.models"
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """What one sensor saw at one time: k observations of the same kind.
-
-    sensor: name in the problem; t: time of validity, s; z: (k, nz) measured values;
-    ids: (k,) which beacon or point each row belongs to; t_arrival: when it became known.
-    Raises InputError on a value that is not finite or on sizes that do not match.
-    """
-
-    sensor: str
-    t: float
-    z: Array
-    ids: Indices
-    t_arrival: float | None = None
-
-    def __post_init__(self) -> None:
-        where = f"sensor {self.sensor!r} at t = {self.t} s"
-        z = np.array(self.z)
-        if z.dtype.kind not in "fiu" or z.ndim != 2 or np.ma.isMaskedArray(self.z):
-            raise InputError(f"{where}: z is {z.dtype} {z.shape}, expected real numbers (k, nz)")
-        ids = np.array(self.ids)
-        if ids.dtype.kind not in "iu":
-            raise InputError(f"{where}: found ids {ids}, expected whole numbers")
-        ids = ids.astype(np.int64)
-        if ids.shape != (len(z),):
-            raise InputError(f"{where}: {len(z)} rows of z, but ids of shape {ids.shape}")
-        if not np.isfinite([self.t, self.t if self.t_arrival is None else self.t_arrival]).all():
-            raise InputError(f"{where}: the time is not finite (arrival: {self.t_arrival})")
-        if not np.isfinite(z).all():
-            bad = int(ids[np.nonzero(~np.isfinite(z).all(axis=1))[0][0]])
-            raise InputError(f"{where}: z of id {bad} is not finite: {z[ids == bad][0]}")
-        object.__setattr__(self, "z", np.ascontiguousarray(z, dtype=np.float64))
-        object.__setattr__(self, "ids", ids)
-
-
-@runtime_checkable
-class Sensor(Protocol):
-    """A measurement model h. Residuals are prediction minus measured, as in GTSAM."""
-
-    kind: ClassVar[str]
-    #: Names of the components of z, with units: the columns of the sensor's table.
-    columns: ClassVar[tuple[str, ...]]
-    #: Residual rows of one observation.
-    rows: ClassVar[int]
-
-    @property
-    def kernel(self) -> Kernel:
-        """Compiled function of the signature `relnav_graph.compiled.contracts.SENSOR_KERNEL`."""
-
-    @property
-    def reads(self) -> tuple[Block, ...]:
-        """Blocks that the model reads, in the order of its arguments."""
-
-    def constants(self) -> Array:
-        """p of the kernel."""
-
-    def observation_data(self, ids: Indices) -> Array:
-        """q of the kernel, (k, nq): what belongs to each observation. Raises InputError
-        on an id that the sensor does not know."""
-
-    def observables(self) -> Indices:
-        """Ids that a simulated sensor looks for."""
-
-    def accept(self, z: Array) -> Array:
-        """Measured values z (k, nz) as the kernel wants them. Raises InputError on values
-        that this sensor cannot give."""
-
-    def at(self, t: float) -> Sensor:
-        """The sensor as it is at time t, s, for the simulator: transmitters may move."""
-
-    def in_view(self, ids: Indices, *x: Array) -> Indices:
-        """Those of the ids that are worth a try in simulation."""
-
-    def predict(self, ids: Indices, *x: Array) -> Array:
-        """z (k, nz) without noise, from one value per block read. Raises GeometryError."""
-
-    def perturb(self, z: Array, e: Array) -> Array:
-        """z (k, nz) moved by residual noise e (k, rows), for the simulator."""
-
-    def noise(self, m: Measurement) -> Array:
-        """R (k, rows, rows) of each observation."""
-
-    def failure(self, status: int) -> str:
-        """What a non-zero status of the kernel means."""
-
-    def residual(self, m: Measurement, *x: Array) -> tuple[Array, tuple[Array, ...]]:
-        """r (k rows,) and its Jacobian to each block (k rows, dim). Raises GeometryError."""
-
-
-@runtime_checkable
-class Dynamics(Protocol):
-    """A process model: advances some blocks over an interval, reading maybe others."""
-
-    kind: ClassVar[str]
-    #: The inputs (gyro, accelerometer), each a known mean over sub-intervals: the columns
-    #: of its table, with units, by name.
-    inputs: ClassVar[Mapping[str, tuple[str, ...]]]
-    #: For each advanced block, the field whose noise drives it; may be empty.
-    noises: ClassVar[tuple[str, ...]]
-
-    @property
-    def kernel(self) -> Kernel:
-        """Compiled function of the signature `relnav_graph.compiled.contracts.DYNAMICS_KERNEL`."""
-
-    @property
-    def advances(self) -> tuple[Block, ...]:
-        """Blocks that the model moves forward; first of the arguments."""
-
-    @property
-    def reads(self) -> tuple[Block, ...]:
-        """Blocks that it only reads; after the advanced ones."""
-
-    def constants(self) -> Array:
-        """p of the kernel."""
-
-    def failure(self, status: int) -> str:
-        """What a non-zero status of the kernel means."""
-
-    def condense(self, u: Array) -> Array:
-        """The rows of an interval as fewer, where that changes nothing: an epoch keeps them."""
-
-    def propagate(self, t: float, u: Array, *x: Array) -> tuple[Array, ...]:
-        """The advanced blocks at the end of the interval."""
-
-    def transition(self, t: float, u: Array, *x: Array) -> tuple[tuple[Array, ...], Array, Array]:
-        """The advanced blocks, F (to all blocks, advanced first) and Q."""
-
-    def caution(self, length: float, *x: Array) -> str:
-        """What cannot be told apart over an interval of `length` s at this state, or ""."""
-
-
-@runtime_checkable
-class Derived(Protocol):
-    """A quantity computed from blocks, with its Jacobian, for tables and covariances."""
-
-    kind: ClassVar[str]
-    block: ClassVar[Block]
-    reads: ClassVar[tuple[Block, ...]]
-
-    def value(self, *x: Array) -> tuple[Array, Array]:
-        """The value, and d(tangent of the value) / d(tangents of the blocks read)."""
 
 
 class DerivedQuantity:

@@ -8,7 +8,8 @@ from numba import types
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK
-from relnav_graph.filtering import NOT_POSITIVE
+from relnav_graph.linear.filter import NOT_POSITIVE
+from relnav_graph.linear.update import to_tangent
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
     copy,
@@ -19,7 +20,6 @@ from relnav_graph.maths.dense import (
     solve_lower_transposed,
 )
 from relnav_graph.maths.manifold import local, retract
-from relnav_graph.updating import to_tangent
 
 __all__ = ["backward"]
 

@@ -5,8 +5,8 @@ it from before, its measurements, the interval that follows) are brought to tria
 by orthogonal reflections: a square-root information filter (Bierman 1977; Kaminski, Bryson,
 Schmidt 1971). Nothing is squared, so that any ratio of process to state noise will do. What
 is left of each epoch is its conditional density given the next one; going back gives the
-step and all marginal covariances. `relnav_graph.chain` has GTSAM do the same with the same
-rows, as the check.
+step and all marginal covariances. `relnav_graph.linear.gtsam_chain` has GTSAM do the same with the
+same rows, as the check.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ import numpy as np
 from numba import types
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.assembly import Assembly
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
+from relnav_graph.core.problem import Prior
+from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
-from relnav_graph.loops import TABLES, Tables, interval_row, observe, propagate
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.rows import interval_row, observe, propagate
+from relnav_graph.linear.tables import TABLES, Tables
+from relnav_graph.linear.whitening import inverse_cholesky
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import SPARE, householder, inverse_upper, sandwich
-from relnav_graph.noise import inverse_cholesky
-from relnav_graph.problem import Prior
-from relnav_graph.state import Layout
 
 __all__ = ["Anchor", "Conditionals", "System", "anchor_of", "linearize"]
 

@@ -1,25 +1,18 @@
-"""The compiled loops over all observations of the sensors and all intervals of the processes.
+"""The compiled loops that linearise all observations of the sensors and intervals of the processes.
 
 Compiled once for all models: a kernel comes as an address. A kernel that leaves an entry
 unfilled, or writes past its arrays, is found out here.
-
-A pass comes as `Tables`: one row of integers per sensor, observation, process and interval,
-which say where each one's numbers stand in one long array.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numba import types
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit, jit_loop
 from relnav_graph.compiled.contracts import (
     GUARD,
     INDEX_MATRIX,
-    INDEX_STACK,
     INDICES,
     MARK,
     MATRIX,
@@ -28,52 +21,39 @@ from relnav_graph.compiled.contracts import (
     call_dynamics,
     call_sensor,
 )
+from relnav_graph.linear.tables import (
+    ADDRESS,
+    COLUMNS,
+    EPOCH,
+    GATHER,
+    Q_DATA,
+    ROW,
+    ROWS,
+    SCATTER,
+    SENSOR,
+    TABLES,
+    U_DATA,
+    U_ROWS,
+    WHITEN,
+    WIDTH,
+    Z_DATA,
+    P,
+    Tables,
+)
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import matmul_into, scaled_cholesky, solve_lower
 from relnav_graph.maths.manifold import local, times_jacobian, times_transposed_jacobian
 
 __all__ = [
     "BROKEN",
-    "TABLES",
-    "Tables",
     "interval_row",
     "interval_rows",
     "measure",
     "observe",
     "propagate",
-    "rows_of",
     "transition",
     "whitening",
 ]
-
-
-class Tables(NamedTuple):
-    """A pass for the compiled loops; what the columns are stands below.
-
-    sensors, observations, processes: one row each; intervals: one row each, of one pair for
-    each process; starts: of the intervals, s; places: in the state; numbers: all others.
-    """
-
-    sensors: Indices
-    observations: Indices
-    processes: Indices
-    intervals: Indices
-    starts: Array
-    places: Indices
-    numbers: Array
-
-
-TABLES = types.NamedTuple(
-    (INDEX_MATRIX, INDEX_MATRIX, INDEX_MATRIX, INDEX_STACK, VECTOR, INDICES, VECTOR), Tables
-)
-
-# Columns of the tables. X, X + 1: where X begins and ends, p, q, z, the whitening and u in
-# the numbers, the others in the places.
-ADDRESS, P, GATHER, COLUMNS = 0, 1, 3, 5  # of sensors and of processes
-ROWS = 7  # of a sensor: rows of an observation; of a process: places of the rows of F and Q
-SCATTER, WIDTH = 9, 11  # of processes; the width of u
-SENSOR, EPOCH, ROW, Q_DATA, Z_DATA, WHITEN = 0, 1, 2, 3, 5, 7  # of observations
-U_DATA, U_ROWS = 0, 1  # of intervals, one pair for each process
 
 # Statuses that the loops add to those of the kernels, and what they mean.
 UNFILLED, OUTSIDE = -1, -2
@@ -116,14 +96,6 @@ def _gather(x: Array, places: Indices, out: Array) -> None:
     """The stored values of some blocks of a state x (size,)."""
     for i in range(places.shape[0]):
         out[i] = x[places[i]]
-
-
-@jit
-def rows_of(observations: Indices, sensors: Indices, first: int, i: int) -> tuple[int, int]:
-    """Where the rows of observation first + i begin, counted from those of `first`, and how
-    many they are."""
-    one = observations[first + i]
-    return one[ROW] - observations[first, ROW], sensors[one[SENSOR], ROWS]
 
 
 @jit

@@ -1,8 +1,8 @@
 """A pass as a chain of epochs in GTSAM: one variable per epoch, its whole error state.
 
-GTSAM's own elimination of the rows of `relnav_graph.assembly`, in order of time: slower than
-`relnav_graph.sweep`, and its check. One variable per epoch is about three times cheaper
-than one per block.
+GTSAM's own elimination of the rows of `relnav_graph.linear.assembly`, in order of time: slower than
+`relnav_graph.linear.elimination`, and its check. One variable per epoch is about three times
+cheaper than one per block.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import gtsam
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.assembly import Assembly, MeasurementRows, ProcessRows
-from relnav_graph.sweep import Anchor, Conditionals
+from relnav_graph.linear.assembly import Assembly, MeasurementRows, ProcessRows
+from relnav_graph.linear.elimination import Anchor, Conditionals
 
 __all__ = [
     "Rows",
@@ -51,7 +51,7 @@ class Rows:
 
 def chain_rows(assembly: Assembly, anchor: Anchor, x: Array, whiten: Array, weight: Array) -> Rows:
     """Rows at the trajectory x (N, size); arguments and errors as of
-    `relnav_graph.sweep.linearize`."""
+    `relnav_graph.linear.elimination.linearize`."""
     e, A = anchor.rows(assembly.layout, x[0])
     measurements, process = assembly.measure(x, weight), assembly.process(x, whiten)
     return Rows(e, A, process, measurements, assembly.row_offsets)

@@ -1,0 +1,1 @@
+"""The nouns: Block, Layout, Sensor, Measurement, Epoch, Problem, Track, Truth."""

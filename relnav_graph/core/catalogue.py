@@ -1,0 +1,41 @@
+"""The catalogue: blocks that several models share; a model may declare others in its own file.
+
+o is the orbital frame of the target, or, where a scenario has no orbit, a frame that does not
+rotate.
+"""
+
+from __future__ import annotations
+
+from relnav_graph.core.state import Block
+
+# The catalogue: blocks that several models share. A model may declare others in its own
+# file. o is the orbital frame of the target, or, where a scenario has no orbit, a frame
+# that does not rotate.
+CHASER_ATTITUDE = Block("chaser_attitude", "R_oc", "SO3", 3, "rad", "oc", "deg")
+TARGET_ATTITUDE = Block("target_attitude", "R_ot", "SO3", 3, "rad", "ot", "deg")
+RELATIVE_ATTITUDE = Block("relative_attitude", "R_tc", "SO3", 3, "rad", "tc", "deg")
+RELATIVE_POSITION = Block("relative_position", "r_tc_o", "vector", 3, "m", "o", "m")
+RELATIVE_VELOCITY = Block("relative_velocity", "v_tc_o", "vector", 3, "m/s", "o", "m/s")
+RELATIVE_POSITION_T = Block("relative_position", "r_tc_t", "vector", 3, "m", "t", "m")
+RELATIVE_VELOCITY_T = Block("relative_velocity", "v_tc_t", "vector", 3, "m/s", "t", "m/s")
+# Of the chaser's own orbit: always inertial, from the Earth's centre.
+CHASER_POSITION = Block("chaser_position", "r_c_i", "vector", 3, "m", "i", "m")
+CHASER_VELOCITY = Block("chaser_velocity", "v_c_i", "vector", 3, "m/s", "i", "m/s")
+TARGET_RATE = Block("target_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
+#: The same under another name, for a target whose axes are arbitrary.
+BODY_RATE = Block("body_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
+GYRO_BIAS = Block("gyro_bias", "b_c", "vector", 3, "rad/s", "c", "deg/h")
+ACCELEROMETER_BIAS = Block("accelerometer_bias", "b_f_c", "vector", 3, "m/s^2", "c", "m/s^2")
+#: The same bias as a second estimator of it finds it: the chaser's own navigation beside the
+#: relative one.
+ABSOLUTE_ACCELEROMETER_BIAS = Block(
+    "absolute_accelerometer_bias", "b_F_c", "vector", 3, "m/s^2", "c", "m/s^2"
+)
+#: artanh of the first two ratios l_x = (J_y - J_z) / J_x, l_y = (J_z - J_x) / J_y of the
+#: principal inertia. With k_z = -(k_x + k_y), l = tanh(k): l_x + l_y + l_z + l_x l_y l_z
+#: = 0 holds by the addition theorem, and every value belongs to a body of positive mass.
+INERTIA = Block("inertia_parameters", "k_t", "vector", 2, "1", "t", "1")
+#: Of a body of any axes: J = tr(D) I - D with D = exp(S), S = sum k_a TRACELESS[a], up to a
+#: scale. D is the second moment of the mass; every k belongs to a body, and a prior that is
+#: the same for all k favours no axes.
+INERTIA_MATRIX = Block("inertia_matrix_parameters", "S_t", "vector", 5, "1", "t", "1")

@@ -1,0 +1,124 @@
+"""Epochs: a time, what was measured then, and the inputs since the epoch before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
+from relnav_graph.core.models import check_inputs
+from relnav_graph.errors import InputError
+
+__all__ = [
+    "Epoch",
+    "make_epochs",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Epoch:
+    """A time, what was measured then, and the inputs since the epoch before.
+
+    inputs: for each process, u (rows, 1 + channels) as its kernel wants it.
+    """
+
+    t: float
+    measurements: tuple[Measurement, ...] = ()
+    inputs: Mapping[str, Array] = field(default_factory=dict)
+
+
+def check_epoch(
+    processes: Mapping[str, Dynamics],
+    sensors: Mapping[str, Sensor],
+    epoch: Epoch,
+    t_before: float | None,
+) -> None:
+    """Check an epoch and, unless t_before is None, the interval that leads to it.
+
+    Raises InputError when a sensor is unknown, a measurement is of another time or width,
+    or a process lacks inputs, has some of another form, or of another length of time.
+    """
+    for m in epoch.measurements:
+        if m.sensor not in sensors:
+            raise InputError(f"t = {m.t} s: unknown sensor {m.sensor!r}")
+        if abs(m.t - epoch.t) > SAME_TIME:
+            raise InputError(f"sensor {m.sensor!r}: found t = {m.t} s in the epoch at {epoch.t} s")
+        columns = sensors[m.sensor].columns
+        if m.z.shape[1] != len(columns):
+            raise InputError(
+                f"sensor {m.sensor!r} at t = {m.t} s: found z of {m.z.shape}, expected {columns}"
+            )
+    for name, process in processes.items() if t_before is not None else ():
+        where = f"process {name!r} ({process.kind}) from {t_before} s to {epoch.t} s"
+        if name not in epoch.inputs:
+            raise InputError(f"{where}: found no inputs for it in the epoch")
+        u = check_inputs(where, process.inputs, epoch.inputs[name])
+        length, expected = float(u[:, 0].sum()), epoch.t - float(t_before or 0.0)
+        if abs(length - expected) > SAME_TIME:
+            raise InputError(f"{where}: found inputs over {length} s, expected {expected} s")
+
+
+def process_inputs(
+    process: Dynamics, series: Mapping[str, InputSeries], t0: float, t1: float
+) -> Array:
+    """u (rows, 1 + channels) of a process over [t0, t1]; one row when it has no inputs.
+
+    Raises InputError when an input is missing or does not cover the interval.
+    """
+    if not process.inputs:
+        return np.array([[t1 - t0]])
+    parts = []
+    for name in process.inputs:
+        if name not in series:
+            raise InputError(f"{process.kind} needs the input {name!r}; given: {list(series)}")
+        parts.append(series[name].over(t0, t1))
+    edges = np.array([t0, t1])
+    for part_edges, _ in parts:
+        edges = np.union1d(edges, part_edges)
+    # Edges closer than that are one edge, written with different rounding.
+    edges = edges[np.concatenate(([True], np.diff(edges) > SAME_TIME))]
+    edges[-1] = t1
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    columns = [np.diff(edges)[:, None]]
+    columns += [values[np.searchsorted(e, middle) - 1] for e, values in parts]
+    return process.condense(np.ascontiguousarray(np.hstack(columns)))
+
+
+def make_epochs(
+    processes: Mapping[str, Dynamics],
+    measurements: Sequence[Measurement],
+    inputs: Mapping[str, InputSeries],
+    times: Array | None = None,
+) -> tuple[Epoch, ...]:
+    """Epochs at the times of the measurements, or at `times`, which must contain them.
+
+    Measurements within a microsecond are of one epoch. Raises InputError on measurements
+    that fall between given times, and when inputs do not cover an interval.
+    """
+    ordered = sorted(measurements, key=lambda m: m.t)
+    stamps = np.array([m.t for m in ordered]) if times is None else np.asarray(times)
+    if times is None and len(stamps):
+        stamps = stamps[np.concatenate(([True], np.diff(stamps) > SAME_TIME))]
+    groups: list[list[Measurement]] = [[] for _ in stamps]
+    for m in ordered:
+        k = int(np.abs(stamps - m.t).argmin()) if len(stamps) < 2 else _nearest(stamps, m.t)
+        if abs(stamps[k] - m.t) > SAME_TIME:
+            raise InputError(f"sensor {m.sensor!r}: measurement at {m.t} s lies between epochs")
+        groups[k].append(m)
+    epochs = []
+    for k, t in enumerate(stamps):
+        u = {}
+        if k:
+            for name, process in processes.items():
+                u[name] = process_inputs(process, inputs, float(stamps[k - 1]), float(t))
+        epochs.append(Epoch(float(t), tuple(groups[k]), u))
+    return tuple(epochs)
+
+
+def _nearest(stamps: Array, t: float) -> int:
+    k = int(np.clip(np.searchsorted(stamps, t), 1, len(stamps) - 1))
+    return k if stamps[k] - t < t - stamps[k - 1] else k - 1

@@ -1,0 +1,134 @@
+"""The estimation problem: all that an estimator sees, immutable.
+
+Filter and smoothers receive the same `Problem`: that is the fairness argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.epochs import Epoch, check_epoch
+from relnav_graph.core.state import Layout
+from relnav_graph.errors import InputError, ModelError
+from relnav_graph.maths.losses import Loss
+
+__all__ = [
+    "Prior",
+    "Problem",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Mean x (stored vector) and covariance P (tangent) at the first epoch.
+
+    Raises InputError when x is not finite or P not symmetric positive definite.
+    """
+
+    x: Array
+    P: Array
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.x).all():
+            raise InputError(f"the prior: found x = {self.x}, expected finite values")
+        check_covariance("the prior", self.P)
+
+
+def check_covariance(where: str, P: Array) -> None:
+    """Raise InputError unless P is finite, symmetric and positive definite."""
+    P = np.asarray(P)
+    if P.ndim != 2 or P.shape[0] != P.shape[1] or not np.isfinite(P).all():
+        raise InputError(f"covariance of {where}: found {P.shape}, expected finite and square")
+    scale = np.sqrt(np.abs(np.diag(P)))
+    if (np.diag(P) <= 0).any():
+        raise InputError(f"covariance of {where}: found variance {np.diag(P).min()}, expected > 0")
+    if np.abs((P - P.T) / np.outer(scale, scale)).max() > 1e-9:
+        raise InputError(f"covariance of {where} is not symmetric")
+    smallest = np.linalg.eigvalsh(P / np.outer(scale, scale)).min()
+    if smallest <= 0:
+        raise InputError(
+            f"covariance of {where} is not positive definite: smallest eigenvalue of the"
+            f" correlation matrix {smallest:.3g}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Models, prior and data of one pass.
+
+    processes, sensors: models by name; gates: probability of the chi-square gate by
+    sensor, where one is asked for; losses: robust ones, likewise; window: of a
+    fixed-lag smoother and for late data online, s, None for a number of epochs. Without
+    epochs it is one to be driven online: they come later. Raises ModelError when a block is
+    advanced by no process or by two, InputError when times do not increase or a sensor is unknown.
+    """
+
+    processes: Mapping[str, Dynamics]
+    sensors: Mapping[str, Sensor]
+    prior: Prior
+    epochs: tuple[Epoch, ...]
+    gates: Mapping[str, float] = field(default_factory=dict)
+    window: float | None = None
+    losses: Mapping[str, Loss] = field(default_factory=dict)
+    layout: Layout = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("processes", "sensors", "gates", "losses"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for name in ("gates", "losses"):
+            for sensor in getattr(self, name):
+                if sensor not in self.sensors:
+                    raise InputError(f"{name}: unknown sensor {sensor!r}")
+        object.__setattr__(self, "epochs", tuple(self.epochs))
+        object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))
+        n = self.layout.dim
+        if self.prior.x.shape != (self.layout.size,) or self.prior.P.shape != (n, n):
+            raise InputError(
+                f"prior: found x {self.prior.x.shape} and P {self.prior.P.shape}, expected"
+                f" ({self.layout.size},) and ({n}, {n}) for {self.layout}"
+            )
+        try:
+            self.layout.pack(self.layout.values(self.prior.x))
+        except InputError as error:
+            raise InputError(f"prior: {error}") from error
+        times = np.array([e.t for e in self.epochs])
+        bad = ~np.isfinite(times) | np.concatenate(([False], np.diff(times) <= 0))
+        if bad.any():
+            k = int(np.nonzero(bad)[0][0])
+            raise InputError(f"epoch {k}: found t = {times[k]} s, expected increasing times")
+        for before, epoch in zip((None, *self.epochs), self.epochs, strict=False):
+            t_before = None if before is None else before.t
+            check_epoch(self.processes, self.sensors, epoch, t_before)
+
+    @property
+    def times(self) -> Array:
+        """Times of the epochs (N,), s."""
+        return np.array([e.t for e in self.epochs])
+
+
+def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> Layout:
+    """The blocks that the processes advance, in order.
+
+    Raises ModelError unless each block read is advanced by exactly one process.
+    """
+    advanced: dict[str, str] = {}
+    for name, process in processes.items():
+        for block in process.advances:
+            if block.name in advanced:
+                raise ModelError(
+                    f"block {block.name!r} is advanced by both {advanced[block.name]!r}"
+                    f" and {name!r}"
+                )
+            advanced[block.name] = name
+    everything = [(n, b) for n, p in processes.items() for b in p.advances + p.reads]
+    everything += [(n, b) for n, s in sensors.items() for b in s.reads]
+    for name, block in everything:
+        if block.name not in advanced:
+            raise ModelError(f"{name!r} reads block {block.name!r}, which no process advances")
+    return Layout(block for _, block in everything)

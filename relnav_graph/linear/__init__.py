@@ -1,0 +1,1 @@
+"""A pass linearised: whitened rows, update, filter, smoother, elimination; GTSAM adapters."""
