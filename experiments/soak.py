@@ -25,7 +25,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Problem
 from relnav_graph.errors import GeometryError
-from relnav_graph.estimators.online import online
+from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario import load_scenario
 

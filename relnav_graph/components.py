@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Dynamics
 from relnav_graph.core.problem import Problem
-from relnav_graph.estimators.gating import residual_weights
+from relnav_graph.estimators.weights import residual_weights
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of, linearize
 from relnav_graph.linear.gtsam_chain import Rows, chain_factors, chain_rows, eliminate

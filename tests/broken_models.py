@@ -21,7 +21,7 @@ from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.errors import ModelError, RelnavError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.estimators.online import online
+from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear import gtsam_factors
 
 

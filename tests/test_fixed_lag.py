@@ -15,7 +15,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.errors import RelnavError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.fixed_lag import FixedLag
-from relnav_graph.estimators.online import online
+from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of
 from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor

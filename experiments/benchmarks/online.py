@@ -14,7 +14,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.isam2 import IncrementalSmoother
-from relnav_graph.estimators.online import online
+from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
 
 from .batch import key_of, typed_factors, typed_values

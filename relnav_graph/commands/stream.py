@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relnav_graph.commands import check_before_work, show_events, show_progress
-from relnav_graph.estimators.online import online
+from relnav_graph.estimators.online.driver import online
 from relnav_graph.io.lines import Header, header_of, prior_values
 from relnav_graph.scenario import Scenario, load_scenario
 from relnav_graph.streaming.journal import Journal, Policy

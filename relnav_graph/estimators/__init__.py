@@ -21,7 +21,7 @@ GROUP = "relnav_graph.estimators"
 @runtime_checkable
 class Estimator(Protocol):
     """What every estimator offers; those that can be driven online also have
-    ``engine(problem)``, see `relnav_graph.estimators.online`, and those that take epochs as
+    ``engine(problem)``, see `relnav_graph.estimators.online.driver`, and those that take epochs as
     they come ``drive(source)``, see `relnav_graph.estimators.source`."""
 
     kind: ClassVar[str]
@@ -47,7 +47,7 @@ def run_estimator(kind: str, problem: Problem) -> Track:
 
 def _cautious(track: Track, problem: Problem) -> Track:
     """The track, degraded where a process says that its state cannot be told from another."""
-    from relnav_graph.estimators.health import caution
+    from relnav_graph.estimators.online.monitor import caution
 
     for epoch, x in zip(problem.epochs, track.x, strict=True):
         doubt = caution(problem, epoch, x)

@@ -13,15 +13,16 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass, judge
-from relnav_graph.estimators.gating import (
+from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
+from relnav_graph.estimators.rts import smooth
+from relnav_graph.estimators.trust import judge
+from relnav_graph.estimators.weights import (
     count_downweighted,
     count_rejected,
     lost,
     residual_weights,
     thresholds,
 )
-from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.maths.losses import Loss

@@ -14,18 +14,25 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Status, Track
 from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.gating import (
+from relnav_graph.estimators.source import Source
+from relnav_graph.estimators.trust import judge
+from relnav_graph.estimators.weights import (
     count_downweighted,
     count_rejected,
     losses_of,
     lost,
     thresholds,
 )
-from relnav_graph.estimators.source import Source
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.filter import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
 
-__all__ = ["Ekf", "FilterPass", "IteratedEkf", "KalmanFilter", "filter_pass"]
+__all__ = [
+    "Ekf",
+    "FilterPass",
+    "IteratedEkf",
+    "KalmanFilter",
+    "filter_pass",
+]
 
 
 #: Gauss-Newton steps of an iterated update, at most; the same wherever one is made.
@@ -197,38 +204,9 @@ def _why(assembly: Assembly, failure: Indices) -> str:
     raise AssertionError("unreachable")
 
 
-#: Mean squared normalised residual, per row, beyond which a track is not to be trusted.
-#: Consistent ones have 1; a lively linearisation error has a few.
-TRUSTED = 30.0
-
-
-def judge(
-    away: Mapping[str, float], problem: Problem, misfit: float, rows: int
-) -> tuple[Status, str]:
-    """Degraded when a sensor lost more than half of its observations (`away`, see
-    `relnav_graph.estimators.gating.lost`), when there was none to use, or when the squared
-    residuals, `misfit` over `rows` rows, are far too large."""
-    seen = dict.fromkeys(problem.sensors, 0)
-    for epoch in problem.epochs:
-        for m in epoch.measurements:
-            seen[m.sensor] += len(m.z)
-    for name, count in away.items():
-        if count > 0.5 * seen[name]:
-            how = " or down-weighted" if name in problem.losses else ""
-            return "degraded", (f"{count:.0f} of {seen[name]} observations of {name} rejected{how}")
-    if not rows:
-        return "degraded", "not one observation was used"
-    if misfit > TRUSTED * rows:
-        return "degraded", (
-            f"squared residuals are {misfit / rows:.3g} times what the covariance says;"
-            f" expected about 1, at most {TRUSTED:g}"
-        )
-    return "ok", ""
-
-
 @dataclass(frozen=True, eq=False)
 class KalmanState:
-    """A filter at one epoch; see `relnav_graph.estimators.online.EngineState`."""
+    """A filter at one epoch; see `relnav_graph.estimators.online.driver.EngineState`."""
 
     t: float | None
     x: Array

@@ -33,14 +33,15 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter, judge
-from relnav_graph.estimators.gating import (
+from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
+from relnav_graph.estimators.source import Recorded, Source
+from relnav_graph.estimators.trust import judge
+from relnav_graph.estimators.weights import (
     count_downweighted,
     count_rejected,
     lost,
     residual_weights,
 )
-from relnav_graph.estimators.source import Recorded, Source
 from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, anchor_of

@@ -26,9 +26,10 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter, judge
-from relnav_graph.estimators.gating import count_downweighted, count_rejected, lost
+from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter
 from relnav_graph.estimators.source import Recorded, Source
+from relnav_graph.estimators.trust import judge
+from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
 from relnav_graph.linear.assembly import Assembly, process_rows
 from relnav_graph.linear.elimination import Anchor, Conditionals
 from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
@@ -276,7 +277,8 @@ class IncrementalSmoother:
         """Relinearise once more, to convergence: the whole trajectory, smoothed."""
         return self._relinearize(self._trajectory(self.x), 1e-3)
 
-    # --- as an engine of `relnav_graph.estimators.online` ------------------------------------
+    # --- as an engine of `relnav_graph.estimators.online.driver`
+    # ------------------------------------
 
     #: Its state is the whole history: only the epochs can make it again.
     compact: ClassVar[bool] = False

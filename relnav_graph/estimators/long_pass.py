@@ -21,8 +21,8 @@ from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import at_rounding
 from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
-from relnav_graph.estimators.gating import count_downweighted, count_rejected
 from relnav_graph.estimators.rts import smooth
+from relnav_graph.estimators.weights import count_downweighted, count_rejected
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
 

@@ -23,7 +23,7 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.packing import under
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.estimators.online import Estimate, Online
+from relnav_graph.estimators.online.driver import Estimate, Online
 from relnav_graph.io.lines import (
     Header,
     InputSample,

@@ -28,8 +28,8 @@ from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError, InputError, LateError, ModelError, RelnavError
 from relnav_graph.estimators import GROUP
 from relnav_graph.estimators.ekf import FilterPass
-from relnav_graph.estimators.engine import Engine, EngineState, Estimate, Refusal
-from relnav_graph.estimators.health import (
+from relnav_graph.estimators.online.engine import Engine, EngineState, Estimate, Refusal
+from relnav_graph.estimators.online.monitor import (
     DOWNWEIGHTED,
     REJECTED,
     USED,

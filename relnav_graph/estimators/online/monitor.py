@@ -19,7 +19,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
-from relnav_graph.estimators.ekf import TRUSTED, FilterPass
+from relnav_graph.estimators.ekf import FilterPass
+from relnav_graph.estimators.trust import TRUSTED
 
 __all__ = ["Health", "Monitor", "caution"]
 

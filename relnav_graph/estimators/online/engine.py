@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.estimators.ekf import FilterPass
-from relnav_graph.estimators.health import Health
+from relnav_graph.estimators.online.monitor import Health
 from relnav_graph.linear.assembly import Assembly
 
 __all__ = ["Engine", "EngineState", "Estimate", "Refusal"]

@@ -1,0 +1,1 @@
+"""Estimators driven online: one epoch at a time, as transactions."""

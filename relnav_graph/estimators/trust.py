@@ -1,0 +1,36 @@
+"""Whether a track is to be trusted, by its residuals alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Status
+
+#: Mean squared normalised residual, per row, beyond which a track is not to be trusted.
+#: Consistent ones have 1; a lively linearisation error has a few.
+TRUSTED = 30.0
+
+
+def judge(
+    away: Mapping[str, float], problem: Problem, misfit: float, rows: int
+) -> tuple[Status, str]:
+    """Degraded when a sensor lost more than half of its observations (`away`, see
+    `relnav_graph.estimators.weights.lost`), when there was none to use, or when the squared
+    residuals, `misfit` over `rows` rows, are far too large."""
+    seen = dict.fromkeys(problem.sensors, 0)
+    for epoch in problem.epochs:
+        for m in epoch.measurements:
+            seen[m.sensor] += len(m.z)
+    for name, count in away.items():
+        if count > 0.5 * seen[name]:
+            how = " or down-weighted" if name in problem.losses else ""
+            return "degraded", (f"{count:.0f} of {seen[name]} observations of {name} rejected{how}")
+    if not rows:
+        return "degraded", "not one observation was used"
+    if misfit > TRUSTED * rows:
+        return "degraded", (
+            f"squared residuals are {misfit / rows:.3g} times what the covariance says;"
+            f" expected about 1, at most {TRUSTED:g}"
+        )
+    return "ok", ""
