@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph import sim
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch, process_inputs
 from relnav_graph.core.measurement import SAME_TIME, Measurement
@@ -32,8 +31,9 @@ from relnav_graph.estimators import GROUP, diverged, try_estimator
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
 from relnav_graph.scenario import Scenario
-from relnav_graph.sim.flight import Flight
-from relnav_graph.sim.interval_inputs import IntervalInputs
+from relnav_graph.sim.contracts import Flight
+from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
+from relnav_graph.sim.sensors import check_known, measure_once, stream
 
 __all__ = ["ClosedLoop", "Flown", "Passed", "flies", "fly", "fly_all", "run_passes", "warm_up"]
 
@@ -64,16 +64,14 @@ class ClosedLoop:
             scenario.inputs,
             {name: len(columns) for name, columns in scenario.input_columns.items()},
             self.times,
-            lambda name: sim.stream(seed, run, f"input {name}"),
+            lambda name: stream(seed, run, f"input {name}"),
         )
-        self._flight: Flight = scenario.truth.fly(
-            float(self.times[0]), sim.stream(seed, run, "truth")
-        )
+        self._flight: Flight = scenario.truth.fly(float(self.times[0]), stream(seed, run, "truth"))
         self._timings = scenario.timings
         self._streams = {
             name: (
-                sim.stream(seed, run, f"sensor {name}"),
-                sim.stream(seed, run, f"outliers {name}"),
+                stream(seed, run, f"sensor {name}"),
+                stream(seed, run, f"outliers {name}"),
             )
             for name in scenario.sensors
         }
@@ -91,7 +89,7 @@ class ClosedLoop:
 
     def _check(self, values: Mapping[str, Array]) -> None:
         for name, sensor in self.scenario.sensors.items():
-            sim.check_known(name, sensor, values)
+            check_known(name, sensor, values)
         law = self._law
         missing = [n for n in law.reads if n not in self.scenario.layout]
         missing += [n for n in law.own if n not in values]
@@ -108,7 +106,7 @@ class ClosedLoop:
             timing = self._timings[name]
             if timing.fires(t, t0):
                 x = [np.ascontiguousarray(values[b.name]) for b in sensor.reads]
-                m = sim.measure_once(name, sensor, timing, t, x, *self._streams[name])
+                m = measure_once(name, sensor, timing, t, x, *self._streams[name])
                 found += [] if m is None else [m]
         return tuple(found)
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from relnav_graph import sim
 from relnav_graph.arrays import Array
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
@@ -39,7 +38,10 @@ from relnav_graph.settings import (
     read_toml,
     shared_orbit,
 )
-from relnav_graph.sim.flight import ControlledTruth, Controller
+from relnav_graph.sim.contracts import GROUP as TRUTHS
+from relnav_graph.sim.contracts import ControlledTruth, Controller
+from relnav_graph.sim.passes import simulate
+from relnav_graph.sim.sensors import Timing, measure_all, stream
 from relnav_graph.units import parse_quantity
 
 __all__ = ["Scenario", "ScenarioError", "load_scenario", "make_scenario", "override", "read_toml"]
@@ -74,7 +76,7 @@ class Scenario:
         return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
 
     @property
-    def timings(self) -> dict[str, sim.Timing]:
+    def timings(self) -> dict[str, Timing]:
         """How each sensor measures when it is simulated."""
         return {name: o.timing() for name, o in self.options.items()}
 
@@ -122,7 +124,7 @@ class Scenario:
                     f" of time.step, {self.file.time.step} s"
                 )
         models = self.processes, self.sensors
-        return sim.simulate(self.truth, self.inputs, *models, self.timings, self.times, seed, run)
+        return simulate(self.truth, self.inputs, *models, self.timings, self.times, seed, run)
 
     def completed(self, recording: Recording, seed: int, run: int = 0) -> Recording:
         """A recording with the sensors that [data] has simulated on its truth.
@@ -135,7 +137,7 @@ class Scenario:
         if recording.truth is None:
             raise InputError(f"data.simulate: found {names}, but the recording has no truth")
         sensors = {name: self.sensors[name] for name in names}
-        made = sim.measure_all(sensors, self.timings, recording.truth, seed, run)
+        made = measure_all(sensors, self.timings, recording.truth, seed, run)
         return replace(recording, measurements=(*recording.measurements, *made))
 
     @property
@@ -174,7 +176,7 @@ class Scenario:
 
         Raises InputError when it needs a truth that is not known.
         """
-        rng = sim.stream(seed, run, "prior")
+        rng = stream(seed, run, "prior")
         return make_prior(self.layout, self.file.prior, truth, t, rng)
 
     def prior_with(self, means: Mapping[str, Array], t: float) -> Prior:
@@ -185,7 +187,7 @@ class Scenario:
         given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
         given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}
         truth = Truth(np.array([t]), {n: value[None] for n, value in means.items()})
-        rng = sim.stream(0, 0, "prior")  # nothing is drawn
+        rng = stream(0, 0, "prior")  # nothing is drawn
         return make_prior(self.layout, {**self.file.prior, **given}, truth, t, rng)
 
 
@@ -299,14 +301,14 @@ def _make_truth(
 ) -> tuple[Any, dict[str, Any]]:
     truth, inputs = None, {}
     if isinstance(raw.get("truth"), Mapping):
-        own = shared_orbit(sim.GROUP, raw["truth"], orbit)
-        truth = make_kind(sim.GROUP, "truth", own, problems)
+        own = shared_orbit(TRUTHS, raw["truth"], orbit)
+        truth = make_kind(TRUTHS, "truth", own, problems)
         if truth is not None and not hasattr(truth, "simulate"):
             problems.append(("truth.kind", f"{own['kind']!r} is an input, expected a truth"))
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():
         if isinstance(table, Mapping):
-            inputs[key] = make_kind(sim.GROUP, f"inputs.{key}", table, problems)
+            inputs[key] = make_kind(TRUTHS, f"inputs.{key}", table, problems)
     return truth, inputs
 
 
@@ -315,8 +317,8 @@ def _make_control(
 ) -> Controller | None:
     if not isinstance(raw.get("control"), Mapping):
         return None
-    own = shared_orbit(sim.GROUP, raw["control"], orbit)
-    control = make_kind(sim.GROUP, "control", own, problems)
+    own = shared_orbit(TRUTHS, raw["control"], orbit)
+    control = make_kind(TRUTHS, "control", own, problems)
     if control is not None and not isinstance(control, Controller):
         problems.append(("control.kind", f"found {own['kind']!r}, expected a controller"))
         return None

@@ -23,11 +23,12 @@ from pydantic import (
     model_validator,
 )
 
-from relnav_graph import sim
 from relnav_graph.core import models
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.maths.losses import LossKind
 from relnav_graph.registry import classes, find_class
+from relnav_graph.sim.contracts import GROUP as TRUTHS
+from relnav_graph.sim.sensors import Law, Timing
 from relnav_graph.units import Quantity, parse_quantity
 
 __all__ = [
@@ -114,7 +115,7 @@ class SensorOptions(BaseModel):
     period: Seconds | None = None
     begin: Seconds | None = None
     end: Seconds | None = None
-    law: sim.Law = "gaussian"
+    law: Law = "gaussian"
     outliers: OutlierSettings | None = None
 
     @model_validator(mode="after")
@@ -123,14 +124,14 @@ class SensorOptions(BaseModel):
             raise ValueError(f"found begin at {self.begin} s and end at {self.end} s")
         return self
 
-    def timing(self) -> sim.Timing:
+    def timing(self) -> Timing:
         """What the simulator needs to know."""
         begin = -math.inf if self.begin is None else self.begin
         end = math.inf if self.end is None else self.end
         if self.outliers is None:
-            return sim.Timing(self.period, begin=begin, end=end, law=self.law)
+            return Timing(self.period, begin=begin, end=end, law=self.law)
         struck = self.outliers.fraction, self.outliers.size
-        return sim.Timing(self.period, *struck, begin, end, self.law)
+        return Timing(self.period, *struck, begin, end, self.law)
 
 
 class OnlineSettings(BaseModel):
@@ -316,7 +317,7 @@ def json_schema() -> dict[str, Any]:
     for section, group, contract, general in (
         ("processes", models.ENTRY_POINTS, "advances", {}),
         ("sensors", models.ENTRY_POINTS, "observables", options),
-        ("inputs", sim.GROUP, "edges", {}),
+        ("inputs", TRUTHS, "edges", {}),
     ):
         choices = []
         for kind, cls in classes(group).items():

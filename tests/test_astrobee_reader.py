@@ -23,7 +23,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.io.readers import read_raw
 from relnav_graph.io.readers.astrobee_tumble import authors_rate
 from relnav_graph.maths import so3
-from relnav_graph.sim.inertial import inertia_parameters
+from relnav_graph.sim.truths.inertial import inertia_parameters
 
 START, COUNT = 40.0, 12
 RATE = np.array([0.05, -0.06, 0.04])  # of the target, in world axes

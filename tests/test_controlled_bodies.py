@@ -14,8 +14,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
-from relnav_graph.sim.attitude_tracking import AttitudeTracking
-from relnav_graph.sim.controlled_bodies import ControlledBodies
+from relnav_graph.sim.control.attitude_tracking import AttitudeTracking
+from relnav_graph.sim.truths.controlled_bodies import ControlledBodies
 
 HUBBLE = np.array([[36046.0, -706, 1491], [-706, 86868, 449], [1491, 449, 93848]])
 SERVICER = np.array([[18748.0, 525, -2197], [525, 55903, 1366], [-2197, 1366, 53025]])

@@ -42,10 +42,12 @@ from relnav_graph.maths import so3
 from relnav_graph.maths.frames import rtn_from_inertial, xiong_from_rtn
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion
 from relnav_graph.registry import classes
-from relnav_graph.sim import Timing, simulate, stream
-from relnav_graph.sim.gyro import RateIntegratingGyro
-from relnav_graph.sim.own_models import ConstantInput, OwnModels
-from relnav_graph.sim.truth import RigidBodyPair
+from relnav_graph.sim.instruments.constant_input import ConstantInput
+from relnav_graph.sim.instruments.gyro import RateIntegratingGyro
+from relnav_graph.sim.passes import simulate
+from relnav_graph.sim.sensors import Timing, stream
+from relnav_graph.sim.truths.own_models import OwnModels
+from relnav_graph.sim.truths.rigid_body_pair import RigidBodyPair
 from relnav_graph.units import Quantity, parse_quantity
 
 Test = Callable[..., None]

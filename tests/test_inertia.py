@@ -20,7 +20,7 @@ from relnav_graph.explain import explain
 from relnav_graph.maths import so3
 from relnav_graph.maths.inertia import TRACELESS
 from relnav_graph.scenario import load_scenario
-from relnav_graph.sim.inertial import inertia_parameters
+from relnav_graph.sim.truths.inertial import inertia_parameters
 
 HU = EXPERIMENTS / "hu2019.toml"
 HU_RATE = np.array([0.2, 0.05, 0.05])

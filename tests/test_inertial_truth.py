@@ -12,8 +12,8 @@ from examples import HU_INERTIA
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
-from relnav_graph.sim.inertial import InertialPair, TumblingBody
-from relnav_graph.sim.truth import RigidBodyPair
+from relnav_graph.sim.truths.inertial import InertialPair, TumblingBody
+from relnav_graph.sim.truths.rigid_body_pair import RigidBodyPair
 
 BODY = TumblingBody(
     target_inertia=HU_INERTIA,

@@ -12,7 +12,6 @@ import pytest
 from passes import EXPERIMENTS, relnav, truth_of
 
 from factors.relative_attitude import VisionAttitude
-from relnav_graph import sim
 from relnav_graph.core.catalogue import CHASER_ATTITUDE
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.deviation import errors
@@ -25,6 +24,7 @@ from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
 from relnav_graph.maths import so3
 from relnav_graph.metrics import summary
 from relnav_graph.scenario import Scenario, load_scenario, make_scenario, read_toml
+from relnav_graph.sim.sensors import Timing, measure
 
 THIENEL = EXPERIMENTS / "thienel2006.toml"
 #: The published loop in ten minutes, with the better noise from 200 s on.
@@ -310,7 +310,7 @@ def test_noise_along_random_directions_is_normal_in_length() -> None:
     sizes = []
     for law in ("gaussian", "random_direction"):
         rng = np.random.default_rng(0)
-        found = sim.measure("v", sensor, sim.Timing(law=law), truth, rng)
+        found = measure("v", sensor, Timing(law=law), truth, rng)
         seen = np.array([so3.from_quaternion(m.z[0]) for m in found])
         e = CHASER_ATTITUDE.local(R, seen) / 0.01
         np.testing.assert_allclose(e.T @ e / 5000, np.eye(3), atol=0.08)

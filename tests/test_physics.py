@@ -16,7 +16,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.maths import so3
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, frame_rotation, relative_transition
-from relnav_graph.sim.truth import RigidBodyPair
+from relnav_graph.sim.truths.rigid_body_pair import RigidBodyPair
 
 DEG = np.pi / 180
 #: Principal moments, kg m^2, with the intermediate axis in the middle; and a tumble that

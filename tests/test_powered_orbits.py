@@ -16,9 +16,9 @@ from relnav_graph.errors import InputError
 from relnav_graph.loop import fly_all
 from relnav_graph.maths import so3
 from relnav_graph.scenario import load_scenario
-from relnav_graph.sim.powered_dynamics import gravity
-from relnav_graph.sim.powered_orbits import PoweredOrbits
-from relnav_graph.sim.rendezvous import Rendezvous
+from relnav_graph.sim.control.rendezvous import Rendezvous
+from relnav_graph.sim.truths.powered_dynamics import gravity
+from relnav_graph.sim.truths.powered_orbits import PoweredOrbits
 
 YANG = EXPERIMENTS / "yang2016.toml"
 QUIET = PoweredOrbits(

@@ -12,7 +12,7 @@ from factors.gyro_bias import GyroBias
 from factors.inertial_orbit_motion import InertialOrbitMotion
 from relnav_graph.arrays import Array
 from relnav_graph.maths import so3
-from relnav_graph.sim.strapdown import StrapdownAccelerometer, StrapdownGyro
+from relnav_graph.sim.instruments.strapdown import StrapdownAccelerometer, StrapdownGyro
 
 MODEL = InertialOrbitMotion(velocity_random_walk_density=5e-4)
 X = (np.array([6.878e6, 1e5, -2e5]), np.array([100.0, 6e3, 4.5e3]))

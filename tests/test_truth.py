@@ -15,9 +15,9 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
-from relnav_graph.sim.gyro import RateIntegratingGyro
-from relnav_graph.sim.integrate import STATE_SIZE, integrate
-from relnav_graph.sim.truth import RigidBodyPair
+from relnav_graph.sim.instruments.gyro import RateIntegratingGyro
+from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
+from relnav_graph.sim.truths.rigid_body_pair import RigidBodyPair
 
 DEG = np.pi / 180
 RADIUS = 7.0e6

@@ -24,7 +24,7 @@ from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario import Scenario, load_scenario
-from relnav_graph.sim import Timing, measure, stream
+from relnav_graph.sim.sensors import Timing, measure, stream
 
 SCENARIO = Path(__file__).parents[1] / "zhang2015_close.toml"
 #: What "the same optimum" means, in sigmas of every state.

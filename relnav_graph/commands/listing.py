@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
-from relnav_graph import estimators, sim
+from relnav_graph import estimators
 from relnav_graph.core import models
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import READERS
 from relnav_graph.registry import classes
 from relnav_graph.settings import read_toml
+from relnav_graph.sim.contracts import GROUP as TRUTHS
 
 
 def _first_line(thing: object) -> str:
@@ -38,7 +39,7 @@ def command(folder: Path) -> None:
         ("Derived quantities", "block"),
     ):
         _section(title, {k: _first_line(c) for k, c in found.items() if hasattr(c, mark)})
-    for title, group in (("Estimators", estimators.GROUP), ("Truth and inputs", sim.GROUP)):
+    for title, group in (("Estimators", estimators.GROUP), ("Truth and inputs", TRUTHS)):
         _section(title, {k: _first_line(c) for k, c in classes(group).items()})
     _section("Readers of recorded data", dict.fromkeys(READERS, ""))
     scenarios = {}

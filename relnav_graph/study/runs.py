@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph import loop, sim
+from relnav_graph import loop
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators import try_estimator
 from relnav_graph.scenario import Scenario, make_scenario
+from relnav_graph.sim.sensors import stream
 from relnav_graph.study.record import Record, make_record
 
 __all__ = ["StudySpec", "run_record", "warm_up"]
@@ -89,5 +90,5 @@ def _run(spec: StudySpec, scenario: Scenario, run: int) -> Record:
         loop.run_passes(scenario, spec.estimators, spec.seed, run, try_estimator),
         derived_quantities(scenario.layout),
         scenario.window(scenario.times),
-        sim.stream(spec.seed, run, "probes"),
+        stream(spec.seed, run, "probes"),
     )

@@ -26,7 +26,7 @@ from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
-from relnav_graph.sim.inertial import inertia_parameters
+from relnav_graph.sim.truths.inertial import inertia_parameters
 
 __all__ = ["authors_rate", "read"]
 

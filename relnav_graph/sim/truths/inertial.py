@@ -1,7 +1,7 @@
 """Truths in axes that do not rotate: a body of any inertia, alone or beside a chaser.
 
 Nothing here is shared with the models of the estimators. The body is integrated about its
-principal axes (`relnav_graph.sim.integrate`), whatever the axes that it is described in.
+principal axes (`relnav_graph.sim.truths.integrate`), whatever the axes that it is described in.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.track import Truth
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import TRACELESS, check_inertia, second_moments
-from relnav_graph.sim.integrate import STATE_SIZE, integrate
-from relnav_graph.sim.truth import OrbitElements, checked_times
+from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
+from relnav_graph.sim.truths.rigid_body_pair import OrbitElements, checked_times
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["InertialPair", "TumblingBody", "inertia_parameters"]
@@ -131,10 +131,11 @@ class TumblingBody:
 class InertialPair(TumblingBody, OrbitElements):
     """A chaser on a two-body orbit near a tumbling target; o is the inertial frame.
 
-    semi_major_axis to argument_of_perigee (see `relnav_graph.sim.truth.OrbitElements`): orbit
-    of the chaser. relative_position: r_tc, m, and relative_velocity, m/s, its
-    derivative there, in RTN axes of the chaser's orbit. chaser_attitude: R_ic as a rotation
-    vector, rad; chaser_rate: w_ci_c, rad/s, constant.
+    semi_major_axis to argument_of_perigee (see
+    `relnav_graph.sim.truths.rigid_body_pair.OrbitElements`): orbit of the chaser.
+    relative_position: r_tc, m, and relative_velocity, m/s, its derivative there, in RTN axes of
+    the chaser's orbit. chaser_attitude: R_ic as a rotation vector, rad; chaser_rate: w_ci_c,
+    rad/s, constant.
 
     relative_acceleration_density: white acceleration of the relative motion per axis,
     m/s^1.5. position_density (m/sqrt(s)) and acceleration_density (m/s^1.5): noise of the

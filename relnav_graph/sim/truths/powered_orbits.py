@@ -12,8 +12,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
-from relnav_graph.sim.powered_dynamics import fly_orbits, sample_attitude, wobbled
-from relnav_graph.sim.truth import OrbitElements, checked_times
+from relnav_graph.sim.truths.powered_dynamics import fly_orbits, sample_attitude, wobbled
+from relnav_graph.sim.truths.rigid_body_pair import OrbitElements, checked_times
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["PoweredFlight", "PoweredOrbits"]
@@ -35,12 +35,13 @@ class PoweredOrbits(OrbitElements):
     """Chaser and target under gravity with J2, J3, J4, each with an acceleration of its own
     that wanders (Gauss-Markov); the chaser has a thruster. All holds at the first epoch.
 
-    semi_major_axis to argument_of_perigee (see `relnav_graph.sim.truth.OrbitElements`): orbit
-    of the target. relative_position: r_tc, m, and relative_velocity, m/s, its
-    derivative there, in RTN axes of the target. mass: kg, constant; max_thrust: N, the
-    longest that a command can have; acceleration_sigma: m/s^2, per axis, and
-    acceleration_time_constant: s, of the wandering accelerations. The chaser's z looks at the
-    Earth; wobble: rad, amplitude of small turns about that, and wobble_period: s.
+    semi_major_axis to argument_of_perigee (see
+    `relnav_graph.sim.truths.rigid_body_pair.OrbitElements`): orbit of the target.
+    relative_position: r_tc, m, and relative_velocity, m/s, its derivative there, in RTN axes of
+    the target. mass: kg, constant; max_thrust: N, the longest that a command can have;
+    acceleration_sigma: m/s^2, per axis, and acceleration_time_constant: s, of the wandering
+    accelerations. The chaser's z looks at the Earth; wobble: rad, amplitude of small turns about
+    that, and wobble_period: s.
 
     clock_bias: m, clock_drift: m/s, frequency_density: m/s^1.5, of the receiver's clock;
     earth_sensor_bias: rad, both angles, earth_sensor_sigma: rad, in the long run, and

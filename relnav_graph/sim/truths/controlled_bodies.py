@@ -13,8 +13,8 @@ from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
 from relnav_graph.maths.inertia import check_inertia
-from relnav_graph.sim.attitude_dynamics import advance, circular_orbit
-from relnav_graph.sim.truth import checked_times
+from relnav_graph.sim.truths.attitude_dynamics import advance, circular_orbit
+from relnav_graph.sim.truths.rigid_body_pair import checked_times
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["ControlledBodies"]

@@ -14,7 +14,7 @@ from relnav_graph.compiled import jit
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import check_inertia
-from relnav_graph.sim.attitude_dynamics import circular_orbit, gravity_gradient
+from relnav_graph.sim.truths.attitude_dynamics import circular_orbit, gravity_gradient
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["AttitudeTracking"]

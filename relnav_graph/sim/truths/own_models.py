@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,25 +20,11 @@ from relnav_graph.core.measurement import InputSeries
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
-from relnav_graph.units import Quantity, check_fields
+from relnav_graph.units import Quantity
 
-__all__ = ["ConstantInput", "OwnModels"]
-
-
-@dataclass(frozen=True)
-class ConstantInput:
-    """An input that is known and constant; values: SI."""
-
-    kind: ClassVar[str] = "constant_input"
-
-    values: Annotated[Array, Quantity("1", (None,))]
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    def series(self, name: str, t_first: float, t_last: float) -> InputSeries:
-        """One sample from t_first to t_last, s."""
-        return InputSeries(name, np.array([t_first]), np.array([t_last]), self.values[None])
+__all__ = [
+    "OwnModels",
+]
 
 
 @dataclass(frozen=True)

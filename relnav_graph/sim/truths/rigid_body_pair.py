@@ -17,7 +17,7 @@ from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import check_inertia
-from relnav_graph.sim.integrate import STATE_SIZE, integrate
+from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
 from relnav_graph.units import Quantity, check_fields
 
 __all__ = ["OrbitElements", "RigidBodyPair", "checked_times"]
@@ -156,7 +156,7 @@ class RigidBodyPair(OrbitElements):
         return self.initial_orbits(self.relative_position, self.relative_velocity, self.mu)
 
     def _initial_state(self) -> Array:
-        """The state y (19,) at t = 0; see `relnav_graph.sim.integrate`."""
+        """The state y (19,) at t = 0; see `relnav_graph.sim.truths.integrate`."""
         R_it = self.initial_R_io() @ so3.exp(self.target_attitude.copy())
         return np.concatenate([self._orbits(), so3.quaternion(R_it), self.target_rate])
 

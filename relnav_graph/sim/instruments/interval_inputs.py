@@ -10,7 +10,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
-from relnav_graph.sim.own_models import ConstantInput
+from relnav_graph.sim.instruments.constant_input import ConstantInput
 
 __all__ = ["IntervalInputs"]
 

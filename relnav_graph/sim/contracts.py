@@ -1,9 +1,4 @@
-"""What a truth that takes commands, and a controller, must provide to fly in a closed loop.
-
-`relnav_graph.loop` brings them together with an estimator: the truth flies from epoch to
-epoch under commands, which the controller makes of the estimate alone and of what the chaser
-knows exactly of itself.
-"""
+"""Truth and sensors: what a pass would really have been, and what would have been seen."""
 
 from __future__ import annotations
 
@@ -15,7 +10,14 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.state import Block
 
-__all__ = ["ControlledTruth", "Controller", "Flight"]
+__all__ = [
+    "GROUP",
+    "ControlledTruth",
+    "Controller",
+    "Flight",
+]
+
+GROUP = "relnav_graph.truths"
 
 
 class Flight(Protocol):

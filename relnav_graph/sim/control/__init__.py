@@ -1,0 +1,1 @@
+"""Controllers: commands made of estimates."""

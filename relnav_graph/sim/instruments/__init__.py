@@ -1,0 +1,1 @@
+"""What instruments read of known inputs: gyros, accelerometers."""

@@ -1,0 +1,93 @@
+"""A whole pass simulated: truth, inputs, measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.measurement import InputSeries
+from relnav_graph.core.problem import layout_of
+from relnav_graph.core.track import Recording, Truth
+from relnav_graph.errors import InputError
+from relnav_graph.sim.instruments.constant_input import ConstantInput
+from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
+from relnav_graph.sim.sensors import Timing, measure_all, stream
+from relnav_graph.sim.truths.own_models import OwnModels
+
+__all__ = [
+    "simulate",
+]
+
+
+def _drifted(
+    truth_model: Any, inputs: IntervalInputs, times: Array, rng: np.random.Generator
+) -> tuple[Truth, dict[str, InputSeries]]:
+    """A pass flown without commands, and its inputs. Raises InputError when the truth cannot
+    be flown or cannot drive an input."""
+    if not hasattr(truth_model, "fly"):
+        raise InputError(f"truth.kind: found {truth_model.kind!r}, which drives no such inputs")
+    flight = truth_model.fly(float(times[0]), rng)
+    values = [{**flight.values(), **inputs.biases(0)}]
+    parts: list[dict[str, InputSeries]] = []
+    for k in range(1, len(times)):
+        t0, t1 = float(times[k - 1]), float(times[k])
+        parts.append(inputs.over(t0, t1, flight.advance(t1, None, inputs.edges(t0, t1))))
+        values.append({**flight.values(), **inputs.biases(k)})
+    series = {}
+    for name in parts[0] if parts else ():
+        own = [part[name] for part in parts]
+        columns = ([s.t_start for s in own], [s.t_end for s in own], [s.values for s in own])
+        series[name] = InputSeries(name, *(np.concatenate(c) for c in columns))
+    found = {name: np.array([v[name] for v in values]) for name in values[0]}
+    return Truth(times, found, truth_model.source), series
+
+
+def simulate(
+    truth_model: Any,
+    inputs: Mapping[str, Any],
+    processes: Mapping[str, Dynamics],
+    sensors: Mapping[str, Sensor],
+    timings: Mapping[str, Timing],
+    times: Array,
+    seed: int,
+    run: int = 0,
+) -> Recording:
+    """A simulated pass: truth, inputs and measurements at `times` (N,), s.
+
+    Raises InputError when the truth cannot drive an input or a sensor.
+    """
+    layout = layout_of(processes, sensors)
+    t0, t1 = float(times[0]), float(times[-1])
+    series: dict[str, InputSeries] = {}
+    if isinstance(truth_model, OwnModels):
+        for name, source in inputs.items():
+            if not isinstance(source, ConstantInput):
+                raise InputError(f"inputs.{name}: a truth of kind own_models wants constant_input")
+            series[name] = source.series(name, t0, t1)
+        rng = stream(seed, run, "truth")
+        truth = truth_model.simulate(layout, processes, series, times, rng)
+    elif any(hasattr(source, "begin") for source in inputs.values()):
+        columns = {name: len(c) for p in processes.values() for name, c in p.inputs.items()}
+        drawn = IntervalInputs(
+            inputs, columns, times, lambda name: stream(seed, run, f"input {name}")
+        )
+        truth, series = _drifted(truth_model, drawn, times, stream(seed, run, "truth"))
+    else:
+        truth = truth_model.simulate(times, stream(seed, run, "truth"))
+        for name, source in inputs.items():
+            if isinstance(source, ConstantInput):
+                series[name] = source.series(name, t0, t1)
+                continue
+            edges = source.edges(t0, t1)
+            rates = truth_model.mean_rate(edges[:-1], edges[1:])
+            rng = stream(seed, run, f"input {name}")
+            series[name], bias = source.sample(rates, edges[:-1], edges[1:], rng)
+            at = np.searchsorted(edges, times - 1e-6)
+            truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
+    known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
+    truth = Truth(truth.t, known, truth.source)
+    return Recording(times, measure_all(sensors, timings, truth, seed, run), series, truth)

@@ -1,0 +1,155 @@
+"""What sensors would have measured of a truth, and when."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.track import Truth
+from relnav_graph.errors import GeometryError, InputError
+
+__all__ = [
+    "stream",
+]
+Law = Literal["gaussian", "random_direction"]
+
+
+def stream(seed: int, run: int, name: str) -> np.random.Generator:
+    """The generator of one stream: its own for each name, so that adding a sensor leaves
+    the others as they were; the same however many workers share the runs."""
+    key = (run, zlib.crc32(name.encode()))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How a simulated sensor measures: every `period` s (None: at each epoch) from `begin`
+    until before `end`, s, with a fraction of outliers, off by `outlier_size` sigmas.
+
+    law: of the noise, "gaussian", or "random_direction": of a normal length along a
+    direction drawn at random, of the same covariance.
+    """
+
+    period: float | None = None
+    outlier_fraction: float = 0.0
+    outlier_size: float = 0.0
+    begin: float = -np.inf
+    end: float = np.inf
+    law: Law = "gaussian"
+
+    def fires(self, t: float, t0: float) -> bool:
+        if not self.begin - 1e-6 < t < self.end - 1e-6:
+            return False
+        if self.period is None:
+            return True
+        cycles = (t - t0) / self.period
+        return abs(cycles - round(cycles)) < 1e-6
+
+
+def _seen(sensor: Sensor, ids: Indices, x: Sequence[Array]) -> tuple[Indices, Array]:
+    """Those of the ids that can be seen, and what they give without noise."""
+    try:
+        return ids, sensor.predict(ids, *x)
+    except GeometryError:
+        if len(ids) == 1:
+            return ids[:0], np.zeros((0, len(sensor.columns)))
+    found = [_seen(sensor, ids[i : i + 1], x) for i in range(len(ids))]
+    return np.concatenate([i for i, _ in found]), np.concatenate([z for _, z in found])
+
+
+def _unit_noise(law: Law, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Noise (k, rows) of unit covariance."""
+    noise = rng.standard_normal(shape)
+    if law == "random_direction":
+        noise /= np.linalg.norm(noise, axis=1, keepdims=True)
+        noise *= np.sqrt(shape[1]) * rng.standard_normal((shape[0], 1))
+    return noise
+
+
+def _with_outliers(e: Array, timing: Timing, rng: np.random.Generator) -> Array:
+    """Unit noise e (k, rows) with outliers added, each in a direction of its own."""
+    direction = rng.standard_normal(e.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    struck = rng.random(len(e)) < timing.outlier_fraction
+    out: Array = e + timing.outlier_size * struck[:, None] * direction
+    return out
+
+
+def check_known(name: str, sensor: Sensor, values: Mapping[str, Array]) -> None:
+    """Raise InputError when a truth with these values lacks a block that a sensor reads."""
+    missing = [b.name for b in sensor.reads if b.name not in values]
+    if missing:
+        raise InputError(f"sensor {name!r} cannot be simulated: the truth has no {missing}")
+
+
+def measure_once(
+    name: str,
+    sensor: Sensor,
+    timing: Timing,
+    t: float,
+    x: Sequence[Array],
+    rng: np.random.Generator,
+    outliers: np.random.Generator | None = None,
+) -> Measurement | None:
+    """What a sensor measures at time t, s, at true values x of the blocks that it reads;
+    None when it sees nothing. See `measure`."""
+    now = sensor.at(t)
+    seen, rows = _seen(now, now.in_view(now.observables(), *x), x)
+    if not len(seen):
+        return None
+    clean = Measurement(name, t, rows, seen)
+    R = sensor.noise(clean)
+    unit = _unit_noise(timing.law, R.shape[:2], rng)
+    if outliers is not None and timing.outlier_fraction > 0:
+        unit = _with_outliers(unit, timing, outliers)
+    e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
+    return Measurement(name, t, sensor.perturb(clean.z, e), clean.ids)
+
+
+def measure(
+    name: str,
+    sensor: Sensor,
+    timing: Timing,
+    truth: Truth,
+    rng: np.random.Generator,
+    outliers: np.random.Generator | None = None,
+) -> list[Measurement]:
+    """What a sensor would have measured: the model at the truth, with its noise.
+
+    outliers: the stream that these are drawn from: all other noise is as without them.
+
+    An observation that is impossible at the truth, such as a point behind the camera, is
+    one that is not seen. Raises InputError when the truth lacks a block.
+    """
+    check_known(name, sensor, truth.values)
+    out = []
+    for k, t in enumerate(truth.t):
+        if not timing.fires(float(t), float(truth.t[0])):
+            continue
+        x = [np.ascontiguousarray(truth.values[b.name][k]) for b in sensor.reads]
+        found = measure_once(name, sensor, timing, float(t), x, rng, outliers)
+        out += [] if found is None else [found]
+    return out
+
+
+def measure_all(
+    sensors: Mapping[str, Sensor],
+    timings: Mapping[str, Timing],
+    truth: Truth,
+    seed: int,
+    run: int = 0,
+) -> tuple[Measurement, ...]:
+    """What all sensors would have measured, each with a stream of its own; see `measure`."""
+    out: list[Measurement] = []
+    for name, sensor in sensors.items():
+        rng = stream(seed, run, f"sensor {name}")
+        outliers = stream(seed, run, f"outliers {name}")
+        out += measure(name, sensor, timings.get(name, Timing()), truth, rng, outliers)
+    return tuple(out)

@@ -1,0 +1,1 @@
+"""How a pass really was: dynamics that the estimators do not share."""
