@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.conduct import do_runs, study_summary
 from relnav_graph.study.folder import StudyFolder
 from relnav_graph.study.runs import StudySpec

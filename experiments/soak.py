@@ -27,7 +27,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.errors import GeometryError
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 SCENARIO = Path(__file__).parent / "zhang2015_close.toml"
 

@@ -24,7 +24,7 @@ from relnav_graph.estimators.window import Window
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of
 from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 
 def distance(problem: Problem, engine: FixedLagEngine, w: Window) -> float:

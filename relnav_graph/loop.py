@@ -30,7 +30,7 @@ from relnav_graph.errors import (
 from relnav_graph.estimators import GROUP, diverged, try_estimator
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
-from relnav_graph.scenario import Scenario
+from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.sim.contracts import Flight
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
 from relnav_graph.sim.sensors import check_known, measure_once, stream

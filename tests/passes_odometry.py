@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from relnav_graph.scenario import Scenario, make_scenario
+from relnav_graph.scenario.build import make_scenario
+from relnav_graph.scenario.scenario import Scenario
 
 #: A target that tumbles beside a chaser 2 m away; a star tracker sees now and then.
 ODOMETRY: dict[str, Any] = {

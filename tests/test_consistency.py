@@ -9,7 +9,8 @@ from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
 from relnav_graph.estimators import run_estimator
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 
 RUNS = 16
 

@@ -43,7 +43,7 @@ from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.isam2 import IncrementalSmoother
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 GATE = 1 - 1e-6
 

@@ -12,7 +12,8 @@ from passes import EXPERIMENTS, ZHANG
 
 from relnav_graph.cli import main
 from relnav_graph.io.readers import read_raw
-from relnav_graph.scenario import load_scenario, read_toml
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.toml import read_toml
 from relnav_graph.units import parse_quantity
 
 SCENARIOS = sorted(EXPERIMENTS.glob("*.toml"))

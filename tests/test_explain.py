@@ -15,7 +15,7 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
 from relnav_graph.explain import named_directions
 from relnav_graph.metrics import score
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 Capture = pytest.CaptureFixture[str]
 

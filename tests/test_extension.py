@@ -19,7 +19,8 @@ from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Track, Truth
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 
 SCENARIO = """
 title = "a laser ranger that drifts with its temperature"

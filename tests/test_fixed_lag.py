@@ -19,7 +19,7 @@ from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of
 from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 WINDOW = 6.0
 

@@ -19,7 +19,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.explain import explain
 from relnav_graph.maths import so3
 from relnav_graph.maths.inertia import TRACELESS
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 from relnav_graph.sim.truths.inertial import inertia_parameters
 
 HU = EXPERIMENTS / "hu2019.toml"

@@ -12,7 +12,7 @@ from passes import ZHANG, differences, sigmas, toy_measurements, toy_problem
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.long_pass import smooth_long_pass
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 
 def _zhang() -> Problem:

@@ -23,7 +23,9 @@ from relnav_graph.io.results import read_results
 from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
 from relnav_graph.maths import so3
 from relnav_graph.metrics import summary
-from relnav_graph.scenario import Scenario, load_scenario, make_scenario, read_toml
+from relnav_graph.scenario.build import load_scenario, make_scenario
+from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.toml import read_toml
 from relnav_graph.sim.sensors import Timing, measure
 
 THIENEL = EXPERIMENTS / "thienel2006.toml"

@@ -19,7 +19,7 @@ from relnav_graph.deviation import errors
 from relnav_graph.errors import InputError
 from relnav_graph.loop import fly
 from relnav_graph.maths import so3
-from relnav_graph.scenario import make_scenario
+from relnav_graph.scenario.build import make_scenario
 
 
 class _Turning:

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Track
 from relnav_graph.estimators import run_estimator
-from relnav_graph.scenario import Scenario
+from relnav_graph.scenario.scenario import Scenario
 
 
 @cache

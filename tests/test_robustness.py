@@ -10,7 +10,8 @@ import pytest
 
 from relnav_graph.cli import main
 from relnav_graph.core.measurement import InputSeries
-from relnav_graph.scenario import ScenarioError, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.schema import ScenarioError
 
 ZHANG = Path(__file__).parents[1] / "experiments" / "zhang2015.toml"
 

@@ -21,7 +21,7 @@ from relnav_graph.estimators.ekf import filter_pass
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 
 @dataclass(frozen=True, eq=False)

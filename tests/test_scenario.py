@@ -16,8 +16,10 @@ from scipy.special import chdtri
 from relnav_graph.cli import main
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
-from relnav_graph.scenario import Scenario, load_scenario, make_scenario
-from relnav_graph.settings import ScenarioError, override
+from relnav_graph.scenario.build import load_scenario, make_scenario
+from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.schema import ScenarioError
+from relnav_graph.scenario.toml import override
 
 DEGREE = math.pi / 180
 

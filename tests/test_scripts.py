@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.conduct import do_runs
 from relnav_graph.study.folder import StudyFolder
 from relnav_graph.study.runs import StudySpec

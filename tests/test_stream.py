@@ -28,7 +28,8 @@ from relnav_graph.deviation import estimates
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.columns import component_columns, to_components
 from relnav_graph.io.lines import LineError, header_of, parse_line, prior_values
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.streaming.session import Options
 
 Capture = pytest.CaptureFixture[str]

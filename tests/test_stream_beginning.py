@@ -12,7 +12,8 @@ from passes import ZHANG
 from streams import feed, session_of
 
 from relnav_graph.io.lines import recording_lines
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 
 POSE = ("target_attitude", "relative_position")
 FLAT = (

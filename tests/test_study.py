@@ -26,7 +26,8 @@ from passes import ZHANG
 from relnav_graph.cli import main
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators import try_estimator
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.study import runs
 from relnav_graph.study.collect import collect
 from relnav_graph.study.conduct import Progress, Workers, do_runs, do_until, merge, study_summary

@@ -14,7 +14,7 @@ from relnav_graph.estimators.isam2 import WINDOW, IncrementalSmoother
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of, linearize
 from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows, eliminate, epoch_factor
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 
 def _zhang(epochs: int = 25) -> Problem:

@@ -15,7 +15,7 @@ from relnav_graph.estimators import run_estimator
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of
 from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.collect import collect
 from relnav_graph.study.record import Record
 from relnav_graph.study.runs import StudySpec, run_record

@@ -23,7 +23,8 @@ from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.sim.sensors import Timing, measure, stream
 
 SCENARIO = Path(__file__).parents[1] / "zhang2015_close.toml"

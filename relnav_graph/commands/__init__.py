@@ -20,8 +20,9 @@ from relnav_graph.io.readers import read_raw
 from relnav_graph.loop import fly_all, warm_up
 from relnav_graph.metrics import summary
 from relnav_graph.registry import find_class
-from relnav_graph.scenario import Scenario, load_scenario, make_scenario
-from relnav_graph.settings import override, read_toml
+from relnav_graph.scenario.build import load_scenario, make_scenario
+from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.toml import override, read_toml
 from relnav_graph.tables import table as comparison_table
 
 __all__ = ["Pass", "estimate", "is_dataset", "open_pass", "show_progress", "write_outputs"]

@@ -12,7 +12,7 @@ from relnav_graph.core import models
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import READERS
 from relnav_graph.registry import classes
-from relnav_graph.settings import read_toml
+from relnav_graph.scenario.toml import read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 
 

@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 from relnav_graph.commands import check_before_work, show_events, show_progress
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.io.lines import Header, header_of, prior_values
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.streaming.journal import Journal, Policy
 from relnav_graph.streaming.output import Output
 from relnav_graph.streaming.run import Interrupted, Interrupts, Recorder, journaled_header, run

@@ -8,8 +8,9 @@ from pathlib import Path
 import click
 
 from relnav_graph.commands import open_dataset
-from relnav_graph.scenario import Scenario, load_scenario
-from relnav_graph.settings import json_schema
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.schema import json_schema
 
 
 @click.command("validate")

@@ -46,7 +46,7 @@ from relnav_graph.io.columns import (
     to_components,
     write_table,
 )
-from relnav_graph.settings import read_toml
+from relnav_graph.scenario.toml import read_toml
 
 __all__ = [
     "Format",

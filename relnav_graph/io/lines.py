@@ -61,7 +61,7 @@ from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.columns import from_components, to_components
-from relnav_graph.settings import from_pydantic
+from relnav_graph.scenario.schema import from_pydantic
 
 __all__ = [
     "Header",

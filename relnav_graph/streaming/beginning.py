@@ -16,8 +16,8 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.packing import merged, pack, under, unpack
 from relnav_graph.core.problem import Prior, Problem
-from relnav_graph.initialise import FRAMES, decide, hypotheses
 from relnav_graph.linear.assembly import Assembly
+from relnav_graph.scenario.first_estimate import FRAMES, decide, hypotheses
 
 __all__ = ["Beginning"]
 

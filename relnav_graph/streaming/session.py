@@ -32,7 +32,7 @@ from relnav_graph.io.lines import (
     estimate_object,
     parse_line,
 )
-from relnav_graph.magnitude import wrong_unit
+from relnav_graph.scenario.unit_check import wrong_unit
 from relnav_graph.streaming import saved
 from relnav_graph.streaming.beginning import Beginning
 from relnav_graph.streaming.buffers import InputBuffer, Inputs, Waiting, WaitingEpoch

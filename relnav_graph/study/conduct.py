@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from relnav_graph.errors import InputError
-from relnav_graph.scenario import make_scenario
+from relnav_graph.scenario.build import make_scenario
 from relnav_graph.study.collect import Collected, collect
 from relnav_graph.study.execute import execute
 from relnav_graph.study.folder import StudyFolder

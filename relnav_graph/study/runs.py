@@ -15,7 +15,8 @@ from relnav_graph import loop
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators import try_estimator
-from relnav_graph.scenario import Scenario, make_scenario
+from relnav_graph.scenario.build import make_scenario
+from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.sim.sensors import stream
 from relnav_graph.study.record import Record, make_record
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from relnav_graph.components import PRIOR, estimate_factors
 from relnav_graph.deviation import chi2_band
-from relnav_graph.scenario import Scenario
+from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.study.collect import Collected, RowRuns
 
 __all__ = ["verdict"]

@@ -16,7 +16,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording
 from relnav_graph.estimators.online.driver import Estimate, Online, online
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 KINDS = ("ekf", "iekf", "fixed_lag", "isam2")
 WINDOW = 12.0

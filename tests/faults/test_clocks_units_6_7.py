@@ -13,7 +13,8 @@ from streams import changed, feed, lines_of, session_of, toy, write_scenario
 
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 
 Toy = tuple[Scenario, list[str]]
 

@@ -12,7 +12,7 @@ import pytest
 from passes import ZHANG, relnav
 from streams import lines_of, write_scenario
 
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 TESTS = Path(__file__).parents[1]
 Capture = pytest.CaptureFixture[str]

@@ -18,9 +18,9 @@ from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import EstimationError, ModelError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.initialise import hypotheses, initialise
 from relnav_graph.linear.assembly import process_rows
 from relnav_graph.maths import so3
+from relnav_graph.scenario.first_estimate import hypotheses, initialise
 
 POSE = ("target_attitude", "relative_position")
 MEASURED = tuple(f'prior.{name}.mean="measured"' for name in POSE)

@@ -9,7 +9,7 @@ import pytest
 from passes import ZHANG, relnav
 from streams import lines_of, write_scenario
 
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 from relnav_graph.streaming.journal import Journal, JournalError, read_segment
 
 

@@ -17,7 +17,7 @@ import pytest
 from passes import relnav
 from streams import RELNAV, SCENARIO, changed, feed, lines_of, session_of, write_scenario
 
-from relnav_graph.scenario import load_scenario
+from relnav_graph.scenario.build import load_scenario
 
 TESTS = Path(__file__).parents[1]
 Capture = pytest.CaptureFixture[str]

@@ -20,7 +20,8 @@ from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.maths import so3
-from relnav_graph.scenario import Scenario, load_scenario
+from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.scenario import Scenario
 
 Change = Callable[[Measurement], Measurement | None]
 

@@ -13,7 +13,7 @@ from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
-from relnav_graph.settings import BlockPrior, Problems, ScenarioFile
+from relnav_graph.scenario.schema import BlockPrior, Problems, ScenarioFile
 from relnav_graph.units import Quantity
 
 __all__ = ["check_prior", "make_prior"]

@@ -1,0 +1,178 @@
+"""Scenarios: checked settings become models, a prior and a `Problem`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Recording, Truth
+from relnav_graph.errors import InputError
+from relnav_graph.maths.losses import Loss
+from relnav_graph.scenario.first_estimate import initialise
+from relnav_graph.scenario.priors import make_prior
+from relnav_graph.scenario.schema import (
+    ScenarioFile,
+    SensorOptions,
+)
+from relnav_graph.scenario.unit_check import wrong_unit
+from relnav_graph.sim.contracts import Controller
+from relnav_graph.sim.passes import simulate
+from relnav_graph.sim.sensors import Timing, measure_all, stream
+from relnav_graph.units import parse_quantity
+
+__all__ = [
+    "Scenario",
+]
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A checked scenario: settings and models, ready to meet simulated or recorded data."""
+
+    name: str
+    file: ScenarioFile
+    raw: Mapping[str, Any]
+    processes: Mapping[str, Dynamics]
+    sensors: Mapping[str, Sensor]
+    options: Mapping[str, SensorOptions]
+    truth: Any
+    inputs: Mapping[str, Any]
+    layout: Layout
+    control: Controller | None = None
+
+    @property
+    def gates(self) -> dict[str, float]:
+        """Probability of the gate of each sensor that has one."""
+        return {name: o.gate for name, o in self.options.items() if o.gate is not None}
+
+    @property
+    def losses(self) -> dict[str, Loss]:
+        """Robust loss of each sensor that has one."""
+        found = self.options.items()
+        return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
+
+    @property
+    def timings(self) -> dict[str, Timing]:
+        """How each sensor measures when it is simulated."""
+        return {name: o.timing() for name, o in self.options.items()}
+
+    @property
+    def input_columns(self) -> dict[str, tuple[str, ...]]:
+        """Inputs that the processes need: the columns of each, by name."""
+        return {k: v for p in self.processes.values() for k, v in p.inputs.items()}
+
+    def window(self, times: Array) -> tuple[float, float] | None:
+        """The scored part of a pass at `times` (N,), s, as fractions of it; None for all."""
+        if self.file.evaluate is None:
+            return None
+        t0, length = float(times[0]), float(times[-1] - times[0]) or 1.0
+        low, high = (
+            (parse_quantity(end, "s") - t0) / length if isinstance(end, str) else end
+            for end in self.file.evaluate
+        )
+        if not low < high or high < 0 or low > 1:
+            _LOG.info(
+                "evaluate = %s leaves no part of a pass from %g s to %g s: all of it is scored",
+                *(self.file.evaluate, t0, t0 + length),
+            )
+            return None
+        return max(low, 0.0), min(high, 1.0)
+
+    @property
+    def times(self) -> Array:
+        """Epochs (N,) of a simulated pass, s. Raises InputError without [time]."""
+        if self.file.time is None:
+            raise InputError(f"{self.name}: no [time] to simulate at")
+        return self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
+
+    def simulate(self, seed: int, run: int = 0) -> Recording:
+        """A simulated pass, without any control. Raises InputError when the scenario is not
+        for simulation."""
+        if self.truth is None or self.file.time is None:
+            raise InputError(
+                f"{self.name}: no [truth] and [time] to simulate from; give recorded data"
+            )
+        for name, o in self.options.items():
+            cycles = (o.period or self.file.time.step) / self.file.time.step
+            if cycles < 1 - 1e-6 or abs(cycles - round(cycles)) > 1e-6:
+                raise InputError(
+                    f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
+                    f" of time.step, {self.file.time.step} s"
+                )
+        models = self.processes, self.sensors
+        return simulate(self.truth, self.inputs, *models, self.timings, self.times, seed, run)
+
+    def completed(self, recording: Recording, seed: int, run: int = 0) -> Recording:
+        """A recording with the sensors that [data] has simulated on its truth.
+
+        Raises InputError when there is no truth, or none of what a sensor reads.
+        """
+        names = self.file.data.simulate if self.file.data is not None else []
+        if not names:
+            return recording
+        if recording.truth is None:
+            raise InputError(f"data.simulate: found {names}, but the recording has no truth")
+        sensors = {name: self.sensors[name] for name in names}
+        made = measure_all(sensors, self.timings, recording.truth, seed, run)
+        return replace(recording, measurements=(*recording.measurements, *made))
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Blocks whose prior is to be taken from the first measurements."""
+        prior = self.file.prior
+        return tuple(b.name for b in self.layout if prior[b.name].mean == "measured")
+
+    def problem(self, recording: Recording, seed: int, run: int = 0) -> Problem:
+        """The problem of a recording, with the scenario's prior.
+
+        Raises InputError when the prior asks for a truth that is not known, or when the
+        first measurements fit it in another unit only; EstimationError when it is to be
+        measured and cannot be.
+        """
+        epochs = make_epochs(
+            self.processes, recording.measurements, recording.inputs, recording.times
+        )
+        problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
+        if self.measured:
+            problem = replace(problem, prior=initialise(problem, self.measured))
+        prior = problem.prior
+        for m in epochs[0].measurements:
+            reason = wrong_unit(self.sensors[m.sensor], m, self.layout, prior.x, prior.P)
+            if reason is not None:
+                raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")
+        return problem
+
+    def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
+        """The problem with a given prior; without epochs, one to be driven online."""
+        models, options = (self.processes, self.sensors), (self.gates, self.file.online.window)
+        return Problem(*models, prior, tuple(epochs), *options, self.losses)
+
+    def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
+        """The prior at time t, s, drawn about the truth where it has no mean.
+
+        Raises InputError when it needs a truth that is not known.
+        """
+        rng = stream(seed, run, "prior")
+        return make_prior(self.layout, self.file.prior, truth, t, rng)
+
+    def prior_with(self, means: Mapping[str, Array], t: float) -> Prior:
+        """The prior at time t, s, with `means` for blocks whose mean the scenario leaves open.
+
+        Those to be measured may lack one. Raises InputError when another one is missing.
+        """
+        given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
+        given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}
+        truth = Truth(np.array([t]), {n: value[None] for n, value in means.items()})
+        rng = stream(0, 0, "prior")  # nothing is drawn
+        return make_prior(self.layout, {**self.file.prior, **given}, truth, t, rng)
