@@ -20,8 +20,8 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.readers import read_raw
 from relnav_graph.io.readers.astrobee_tumble import authors_rate
-from relnav_graph.metrics import errors, with_smoothed
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scoring.metrics import errors, with_smoothed
 
 SCENARIO = Path(__file__).with_name("astrobee_tumble.toml")
 SETTLED = 30.0  # s

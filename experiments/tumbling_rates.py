@@ -17,8 +17,8 @@ import numpy as np
 
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
-from relnav_graph.metrics import score, with_smoothed
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scoring.metrics import score, with_smoothed
 
 SCENARIO = Path(__file__).with_name("zhang2015.toml")
 

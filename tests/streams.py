@@ -11,9 +11,9 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.commands.stream import new_session
-from relnav_graph.io.lines import header_of, recording_lines
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.streaming.lines import header_of, recording_lines
 from relnav_graph.streaming.session import Options, Session
 
 #: The command, in a process of its own.

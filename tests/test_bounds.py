@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from passes import ZHANG, linear_problem
 
-from relnav_graph.bounds import bounds, true_trajectory
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scoring.bounds import bounds, true_trajectory
 
 
 @pytest.mark.parametrize(("bound", "estimator"), [("filtered", "ekf"), ("smoothed", "rts")])

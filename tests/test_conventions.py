@@ -36,7 +36,7 @@ from relnav_graph.core.epochs import make_epochs, process_inputs
 from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.models import ENTRY_POINTS
 from relnav_graph.core.state import Layout
-from relnav_graph.io.columns import component_columns, from_components, to_components
+from relnav_graph.io.tabular import component_columns, from_components, to_components
 from relnav_graph.linear.gtsam_factors import insert_block
 from relnav_graph.maths import so3
 from relnav_graph.maths.frames import rtn_from_inertial, xiong_from_rtn

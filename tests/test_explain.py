@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from passes import ZHANG
 
-from relnav_graph.bounds import true_trajectory
 from relnav_graph.cli import main
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
-from relnav_graph.explain import named_directions
-from relnav_graph.metrics import score
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scoring.bounds import true_trajectory
+from relnav_graph.scoring.metrics import score
+from relnav_graph.scoring.observability import named_directions
 
 Capture = pytest.CaptureFixture[str]
 

@@ -13,13 +13,13 @@ from factors._inertia import inertia_matrix
 from factors.euler_rotation import EulerRotation
 from factors.inertia_ratios import InertiaMatrixRatios
 from relnav_graph.arrays import Array
-from relnav_graph.bounds import bounds
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError
-from relnav_graph.explain import explain
 from relnav_graph.maths import so3
 from relnav_graph.maths.inertia import TRACELESS
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scoring.bounds import bounds
+from relnav_graph.scoring.observability import explain
 from relnav_graph.sim.truths.inertial import inertia_parameters
 
 HU = EXPERIMENTS / "hu2019.toml"

@@ -14,7 +14,6 @@ from passes import EXPERIMENTS, relnav, truth_of
 from factors.relative_attitude import VisionAttitude
 from relnav_graph.core.catalogue import CHASER_ATTITUDE
 from relnav_graph.core.track import Track, Truth
-from relnav_graph.deviation import errors
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.ekf import Ekf
@@ -22,10 +21,11 @@ from relnav_graph.estimators.source import Source
 from relnav_graph.io.results import read_results
 from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
 from relnav_graph.maths import so3
-from relnav_graph.metrics import summary
 from relnav_graph.scenario.build import load_scenario, make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.toml import read_toml
+from relnav_graph.scoring.deviations import errors
+from relnav_graph.scoring.metrics import summary
 from relnav_graph.sim.sensors import Timing, measure
 
 THIENEL = EXPERIMENTS / "thienel2006.toml"

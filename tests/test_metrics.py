@@ -20,10 +20,10 @@ from relnav_graph.core.catalogue import (
 )
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
-from relnav_graph.deviation import chi2_band, nees
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
-from relnav_graph.metrics import (
+from relnav_graph.scoring.deviations import chi2_band, nees
+from relnav_graph.scoring.metrics import (
     errors,
     estimates,
     improvement,

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from relnav_graph.core.catalogue import GYRO_BIAS, INERTIA, RELATIVE_POSITION, TARGET_ATTITUDE
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, Truth
-from relnav_graph.plots import error_figures, save_figures, trajectory_figure
+from relnav_graph.figures import error_figures, save_figures, trajectory_figure
 
 LAYOUT = Layout([RELATIVE_POSITION, TARGET_ATTITUDE])
 N = 40
@@ -183,5 +183,5 @@ def test_no_global_state_of_matplotlib_is_touched() -> None:
     before = dict(mpl.rcParams)
     error_figures(pair, truth, [])
     assert dict(mpl.rcParams) == before
-    code = "import sys, relnav_graph.plots; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, relnav_graph.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

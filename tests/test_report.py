@@ -21,9 +21,9 @@ from PIL import Image
 
 from relnav_graph.cli import main
 from relnav_graph.errors import InputError
+from relnav_graph.report import cells
 from relnav_graph.report import page as pages
 from relnav_graph.report import scene as scenes
-from relnav_graph.report import tables
 from relnav_graph.report.contents import PassContents, StudyContents, read_contents
 from relnav_graph.report.page import MAX_BYTES
 from relnav_graph.study.record import Record
@@ -52,7 +52,7 @@ def one_pass(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a comparison, with its report."""
     out = tmp_path_factory.mktemp("report") / "pass"
     with pytest.MonkeyPatch.context() as patch:  # its files are tested elsewhere
-        patch.setattr("relnav_graph.plots.save_figures", lambda *_: [])
+        patch.setattr("relnav_graph.figures.save_figures", lambda *_: [])
         assert run("compare", ZHANG, *SHORT, "--seed", 4, "-o", out) == 0
     assert run("report", out) == 0
     return out
@@ -129,7 +129,7 @@ def test_a_study_is_told_in_full(study: Path) -> None:
     for row in found["estimators"].values():
         for state in row["states"].values():
             for key in ("rmse", "bound", "sigma"):
-                assert tables.number(state[key]) in text
+                assert cells.number(state[key]) in text
     (pair,) = found["paired"]
     gain = pair["states"]["relative_position"]["improvement"]
     assert f"{100 * gain:.1f} %".replace("-", "−") in text
@@ -148,7 +148,7 @@ def test_a_study_is_told_in_full(study: Path) -> None:
 
 
 def test_filtered_and_smoothed_rows_share_no_table(study: Path) -> None:
-    found = tables.results(read_contents(study).summary)
+    found = cells.results(read_contents(study).summary)
     names = {kind: {row[0].text for row in t.rows if len(row) > 1} for kind, t in found.items()}
     assert names == {"filtered": {"iekf"}, "smoothed": {"batch"}}
 
@@ -185,7 +185,7 @@ def test_a_run_that_was_lost_is_named_with_its_command(study: Path, tmp_path: Pa
     assert isinstance(content, StudyContents)
     (one,) = content.summary["failed"]
     assert (one["run"], one["message"]) == (3, "its worker died")
-    table = tables.bad_runs(content.summary["failed"])
+    table = cells.bad_runs(content.summary["failed"])
     assert table.rows[0][-1].text.endswith("--run 3")
     assert "--runs 4" in content.command
 
@@ -223,7 +223,7 @@ def test_a_pass_is_told_in_full(one_pass: Path) -> None:
     found = json.loads((one_pass / "summary.json").read_text())
     text = text_of(page_of(one_pass))
     for row in found["estimators"].values():
-        assert tables.number(row["states"]["relative_position"]["rmse"]) in text
+        assert cells.number(row["states"]["relative_position"]["rmse"]) in text
     assert "relnav compare" in text
     assert "--seed 4" in text
     assert "Verdict" not in text

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from relnav_graph.report import cells
 from relnav_graph.report import scene as scenes
-from relnav_graph.report import tables
 from relnav_graph.report.embed import encode
 from relnav_graph.report.page import Gallery
 from relnav_graph.report.zoom import zoomable
@@ -84,4 +84,4 @@ def test_ellipsoids_are_three_sigma_about_their_centres() -> None:
      (1.5e7, "1.5·10⁷")],
 )  # fmt: skip
 def test_numbers_have_few_digits(value: float | None, text: str) -> None:
-    assert tables.number(value) == text
+    assert cells.number(value) == text

@@ -24,12 +24,12 @@ from streams import (
 )
 
 from relnav_graph.core.models import derived_quantities
-from relnav_graph.deviation import estimates
 from relnav_graph.estimators import run_estimator
-from relnav_graph.io.columns import component_columns, to_components
-from relnav_graph.io.lines import LineError, header_of, parse_line, prior_values
+from relnav_graph.io.tabular import component_columns, to_components
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scoring.deviations import estimates
+from relnav_graph.streaming.lines import LineError, header_of, parse_line, prior_values
 from relnav_graph.streaming.session import Options
 
 Capture = pytest.CaptureFixture[str]

@@ -9,13 +9,13 @@ import pytest
 from passes import ZHANG, linear_problem, toy_measurements, toy_problem
 
 from relnav_graph.arrays import Array
-from relnav_graph.components import estimate_factors, noise_residuals
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of
 from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scoring.variance_components import estimate_factors, noise_residuals
 from relnav_graph.study.collect import collect
 from relnav_graph.study.record import Record
 from relnav_graph.study.runs import StudySpec, run_record

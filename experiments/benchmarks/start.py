@@ -14,7 +14,7 @@ import numpy as np
 
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
-from relnav_graph.metrics import score
+from relnav_graph.scoring.metrics import score
 
 from .passes import scenario_of, seconds
 

@@ -18,12 +18,12 @@ from relnav_graph.estimators import GROUP, try_estimator
 from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
 from relnav_graph.io.readers import read_raw
 from relnav_graph.loop import fly_all, warm_up
-from relnav_graph.metrics import summary
 from relnav_graph.registry import find_class
 from relnav_graph.scenario.build import load_scenario, make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.toml import override, read_toml
-from relnav_graph.tables import table as comparison_table
+from relnav_graph.scoring.metrics import summary
+from relnav_graph.scoring.text import table as comparison_table
 
 __all__ = ["Pass", "estimate", "is_dataset", "open_pass", "show_progress", "write_outputs"]
 
@@ -187,10 +187,10 @@ def _flown(run: Pass, kinds: Sequence[str]) -> list[Track]:
 
 def write_outputs(out: Path, run: Pass, tracks: Sequence[Track], found: dict[str, Any]) -> None:
     """Results, summary, manifest and figures in the folder `out`. Raises InputError."""
+    from relnav_graph.figures import error_figures, save_figures, trajectory_figure
     from relnav_graph.io.atomic import atomic
     from relnav_graph.io.manifest import PassManifest
     from relnav_graph.io.results import write_results
-    from relnav_graph.plots import error_figures, save_figures, trajectory_figure
 
     show_progress(f"writing {out} ...")
     try:

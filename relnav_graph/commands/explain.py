@@ -8,12 +8,12 @@ from pathlib import Path
 import click
 
 from relnav_graph.arrays import Array
-from relnav_graph.bounds import true_trajectory
 from relnav_graph.commands import Pass, open_pass, show_progress
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import try_estimator
+from relnav_graph.scoring.bounds import true_trajectory
 
 
 def _nominal(run: Pass, problem: Problem) -> Array:
@@ -47,8 +47,8 @@ def command(
     directions that are weak or not observable, follow from the information along the
     true trajectory of a simulated pass (or along an estimate, where --data has no truth).
     """
-    from relnav_graph.explain import explain
-    from relnav_graph.tables import explain_table
+    from relnav_graph.scoring.observability import explain
+    from relnav_graph.scoring.text import explain_table
 
     run = open_pass(scenario, seed, data, assignments)
     problem = run.scenario.problem(run.recording, run.seed)

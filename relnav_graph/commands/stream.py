@@ -14,10 +14,10 @@ from threadpoolctl import threadpool_limits
 
 from relnav_graph.commands import check_before_work, show_events, show_progress
 from relnav_graph.estimators.online.driver import online
-from relnav_graph.io.lines import Header, header_of, prior_values
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.streaming.journal import Journal, Policy
+from relnav_graph.streaming.lines import Header, header_of, prior_values
 from relnav_graph.streaming.output import Output
 from relnav_graph.streaming.run import Interrupted, Interrupts, Recorder, journaled_header, run
 from relnav_graph.streaming.session import Options, Session
@@ -67,7 +67,7 @@ def command(
 ) -> int:
     """Estimate SCENARIO online: JSON lines in, a JSON line out for each epoch.
 
-    The format of both is described in `relnav_graph.io.lines`; `relnav simulate SCENARIO
+    The format of both is described in `relnav_graph.streaming.lines`; `relnav simulate SCENARIO
     -o -` writes such lines. An epoch is estimated once its inputs are there and something
     has arrived after it, or nothing for --settle seconds. With --journal, a run that was
     killed goes on where it was.

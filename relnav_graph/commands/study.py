@@ -97,7 +97,7 @@ def _show(
     folder: StudyFolder, runs: Sequence[int], lost: dict[int, str], as_json: bool, keep: bool
 ) -> int:
     from relnav_graph.io.atomic import atomic
-    from relnav_graph.tables import study_table
+    from relnav_graph.scoring.text import study_table
 
     found, _ = study_summary(folder, runs, lost)
     if keep:

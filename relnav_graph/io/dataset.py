@@ -37,7 +37,7 @@ from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
-from relnav_graph.io.columns import (
+from relnav_graph.io.tabular import (
     Format,
     Table,
     component_columns,

@@ -23,8 +23,8 @@ from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
-from relnav_graph.io.columns import component_columns, from_components, to_components, write_table
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
+from relnav_graph.io.tabular import component_columns, from_components, to_components, write_table
 
 __all__ = ["read_results", "write_csv", "write_results"]
 

@@ -16,9 +16,9 @@ from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.manifest import PASS_FILE, PassManifest
 from relnav_graph.io.results import read_results
 from relnav_graph.loop import run_passes
-from relnav_graph.metrics import summary, versions
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scoring.metrics import summary, versions
 from relnav_graph.study.collect import Collected
 from relnav_graph.study.conduct import study_summary
 from relnav_graph.study.folder import StudyFolder

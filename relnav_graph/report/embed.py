@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from relnav_graph.plots import STYLE
+from relnav_graph.figures import STYLE
 
 __all__ = ["encode", "image"]
 

@@ -1,4 +1,4 @@
-"""Figures of what the runs of a study show together, in the style of `relnav_graph.plots`.
+"""Figures of what the runs of a study show together, in the style of `relnav_graph.figures`.
 
 Filtered, fixed-lag and smoothed rows never share a panel.
 """
@@ -22,9 +22,9 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind
-from relnav_graph.deviation import chi2_band
-from relnav_graph.plots import STYLE, WIDTH, row_styles, symbol
+from relnav_graph.figures import STYLE, WIDTH, row_styles, symbol
 from relnav_graph.report.contents import StudyContents
+from relnav_graph.scoring.deviations import chi2_band
 from relnav_graph.study.collect import Collected, RowRuns
 from relnav_graph.study.record import bin_edges
 

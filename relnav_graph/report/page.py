@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from relnav_graph import __version__
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError
+from relnav_graph.figures import error_figures, trajectory_figure
 from relnav_graph.io.atomic import atomic
-from relnav_graph.plots import error_figures, trajectory_figure
-from relnav_graph.report import setting, tables
+from relnav_graph.report import cells, setting
 from relnav_graph.report.contents import PassContents, StudyContents
 from relnav_graph.report.embed import encode, image
 from relnav_graph.report.figures import RunFigures, plain
@@ -183,15 +183,15 @@ def _scene_caption(scene: Scene) -> str:
 def _study_context(study: StudyContents, gallery: Gallery) -> dict[str, Any]:
     summary = study.summary
     context: dict[str, Any] = {
-        "judgements": tables.judgements(summary),
-        "sensors": tables.sensor_judgements(summary),
-        "noises": tables.noises(summary),
-        "paired": tables.paired(summary),
-        "mcreynolds": tables.mcreynolds(summary),
-        "failed": tables.bad_runs(summary["failed"]) if summary["failed"] else None,
-        "degraded": tables.bad_runs(summary["degraded"]) if summary["degraded"] else None,
+        "judgements": cells.judgements(summary),
+        "sensors": cells.sensor_judgements(summary),
+        "noises": cells.noises(summary),
+        "paired": cells.paired(summary),
+        "mcreynolds": cells.mcreynolds(summary),
+        "failed": cells.bad_runs(summary["failed"]) if summary["failed"] else None,
+        "degraded": cells.bad_runs(summary["degraded"]) if summary["degraded"] else None,
         "judged": study.judged,
-        "worst": tables.worst_runs(study.worst),
+        "worst": cells.worst_runs(study.worst),
         "worst_run": study.worst[0].run if study.worst else None,
         "remade": None,
         "numbers": _ranges(study.found.runs),
@@ -199,7 +199,7 @@ def _study_context(study: StudyContents, gallery: Gallery) -> dict[str, Any]:
     figures = _over_runs(study, gallery)
     again = study.remake(study.worst[0].run) if study.worst else None
     if again is not None:
-        context["remade"] = tables.results(again.summary)
+        context["remade"] = cells.results(again.summary)
         figures["pass"] = _of_pass(again, gallery)  # type: ignore[assignment]
     return {**context, "figures": figures}
 
@@ -237,8 +237,8 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "simulated": setting.simulated(scenario),
         "prior": setting.prior(scenario),
         "toml": setting.toml(scenario),
-        "overview": tables.overview(summary),
-        "results": tables.results(summary),
+        "overview": cells.overview(summary),
+        "results": cells.results(summary),
         "command": content.command,
         "versions": content.versions,
         "version": __version__,

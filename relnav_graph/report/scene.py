@@ -14,10 +14,10 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.catalogue import RELATIVE_POSITION, RELATIVE_POSITION_T, TARGET_ATTITUDE
 from relnav_graph.core.models import derived_quantities
-from relnav_graph.deviation import StateEstimates, estimates, finite
-from relnav_graph.metrics import with_smoothed
-from relnav_graph.plots import row_styles
+from relnav_graph.figures import row_styles
 from relnav_graph.report.contents import PassContents
+from relnav_graph.scoring.deviations import StateEstimates, estimates, finite
+from relnav_graph.scoring.metrics import with_smoothed
 
 __all__ = ["Scene", "make_scene"]
 

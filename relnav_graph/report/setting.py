@@ -8,8 +8,8 @@ from typing import Any
 
 import tomli_w
 
+from relnav_graph.report.cells import Cell, Table
 from relnav_graph.report.figures import plain
-from relnav_graph.report.tables import Cell, Table
 from relnav_graph.scenario.scenario import Scenario
 
 __all__ = ["models", "prior", "simulated", "toml"]

@@ -13,7 +13,7 @@ from relnav_graph.core.contracts import Dynamics
 from relnav_graph.core.epochs import process_inputs
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.errors import InputError
-from relnav_graph.io.lines import InputSample
+from relnav_graph.streaming.lines import InputSample
 
 __all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from relnav_graph.core.measurement import Measurement
-from relnav_graph.io.lines import Header, InputSample, LineError, Tick
+from relnav_graph.streaming.lines import Header, InputSample, LineError, Tick
 
 __all__ = ["PATIENCE", "Options", "Parsed"]
 

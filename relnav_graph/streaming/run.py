@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
-from relnav_graph.io.lines import Header, dump
 from relnav_graph.streaming.journal import Journal, JournalError, Record
+from relnav_graph.streaming.lines import Header, dump
 from relnav_graph.streaming.output import Output
 from relnav_graph.streaming.saved import header_in
 from relnav_graph.streaming.session import Session

@@ -11,8 +11,8 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import Measurement
-from relnav_graph.io.lines import Header, InputSample, input_object, measurement_object
 from relnav_graph.streaming.buffers import WaitingEpoch
+from relnav_graph.streaming.lines import Header, InputSample, input_object, measurement_object
 
 __all__ = [
     "header_in",

@@ -24,7 +24,11 @@ from relnav_graph.core.packing import under
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators.online.driver import Estimate, Online
-from relnav_graph.io.lines import (
+from relnav_graph.scenario.unit_check import wrong_unit
+from relnav_graph.streaming import saved
+from relnav_graph.streaming.beginning import Beginning
+from relnav_graph.streaming.buffers import InputBuffer, Inputs, Waiting, WaitingEpoch
+from relnav_graph.streaming.lines import (
     Header,
     InputSample,
     LineError,
@@ -32,10 +36,6 @@ from relnav_graph.io.lines import (
     estimate_object,
     parse_line,
 )
-from relnav_graph.scenario.unit_check import wrong_unit
-from relnav_graph.streaming import saved
-from relnav_graph.streaming.beginning import Beginning
-from relnav_graph.streaming.buffers import InputBuffer, Inputs, Waiting, WaitingEpoch
 from relnav_graph.streaming.options import PATIENCE, Options, Parsed
 
 __all__ = ["Options", "Parsed", "Session"]

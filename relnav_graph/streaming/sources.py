@@ -17,7 +17,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from relnav_graph.errors import InputError
-from relnav_graph.io.lines import LONGEST
+from relnav_graph.streaming.lines import LONGEST
 
 __all__ = ["Source", "open_source"]
 

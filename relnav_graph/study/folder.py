@@ -12,7 +12,7 @@ from typing import Any
 
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
-from relnav_graph.metrics import versions
+from relnav_graph.scoring.metrics import versions
 from relnav_graph.study.record import Record
 from relnav_graph.study.runs import StudySpec
 

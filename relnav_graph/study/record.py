@@ -17,15 +17,22 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.bounds import bounds, true_trajectory
-from relnav_graph.components import noise_residuals
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Track
-from relnav_graph.deviation import StateErrors, StateEstimates, deviations, estimates, joint, nees
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.loop import Passed
-from relnav_graph.metrics import Score, score_of, step_ms, with_smoothed
+from relnav_graph.scoring.bounds import bounds, true_trajectory
+from relnav_graph.scoring.deviations import (
+    StateErrors,
+    StateEstimates,
+    deviations,
+    estimates,
+    joint,
+    nees,
+)
+from relnav_graph.scoring.metrics import Score, score_of, step_ms, with_smoothed
+from relnav_graph.scoring.variance_components import noise_residuals
 
 __all__ = ["BINS", "Record", "make_record"]
 

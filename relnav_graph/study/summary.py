@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.deviation import chi2_band
-from relnav_graph.metrics import versions
+from relnav_graph.scoring.deviations import chi2_band
+from relnav_graph.scoring.metrics import versions
 from relnav_graph.study.collect import Collected, RowRuns
 from relnav_graph.study.runs import StudySpec
 

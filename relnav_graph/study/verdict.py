@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from relnav_graph.components import PRIOR, estimate_factors
-from relnav_graph.deviation import chi2_band
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scoring.deviations import chi2_band
+from relnav_graph.scoring.variance_components import PRIOR, estimate_factors
 from relnav_graph.study.collect import Collected, RowRuns
 
 __all__ = ["verdict"]

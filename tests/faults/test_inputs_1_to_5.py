@@ -19,7 +19,7 @@ from relnav_graph.core.problem import Prior
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.io.columns import component_columns, from_components, to_components
+from relnav_graph.io.tabular import component_columns, from_components, to_components
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -18,7 +18,7 @@ from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Problem
 from relnav_graph.errors import ModelError
 from relnav_graph.estimators.online.driver import Estimate, Online, online
-from relnav_graph.io.lines import Header
+from relnav_graph.streaming.lines import Header
 from relnav_graph.streaming.session import Options, Session
 
 KINDS = ("ekf", "iekf", "isam2", "fixed_lag")

@@ -16,8 +16,8 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.maths.losses import Loss
-from relnav_graph.metrics import score
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scoring.metrics import score
 
 GATES = {"fix": 1 - 1e-6, "ranger": 1 - 1e-6}
 #: A step of three sigmas raises the alarm within so many samples; a drift of 0.2 sigmas a

@@ -1,7 +1,7 @@
 """Accuracy and consistency of tracks against truth, and the summary of a comparison.
 
 RMSE is a norm over the axes; NEES is judged by chi-square bands (Bar-Shalom, Li,
-Kirubarajan 2001, section 5.4). Errors and their signs: `relnav_graph.deviation`.
+Kirubarajan 2001, section 5.4). Errors and their signs: `relnav_graph.scoring.deviations`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind, Track, Truth
-from relnav_graph.deviation import (
+from relnav_graph.errors import InputError
+from relnav_graph.scoring.deviations import (
     Band,
     StateErrors,
     StateEstimates,
@@ -32,8 +33,7 @@ from relnav_graph.deviation import (
     joint,
     mean_nees,
 )
-from relnav_graph.errors import InputError
-from relnav_graph.tables import table
+from relnav_graph.scoring.text import table
 
 __all__ = [
     "Score",

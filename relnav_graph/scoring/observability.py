@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.bounds import Bounds, bounds
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block, Layout
-from relnav_graph.deviation import estimates
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.metrics import score_of
+from relnav_graph.scoring.bounds import Bounds, bounds
+from relnav_graph.scoring.deviations import estimates
+from relnav_graph.scoring.metrics import score_of
 from relnav_graph.units import convert
 
 __all__ = ["Direction", "explain", "named_directions"]
@@ -249,7 +249,7 @@ def explain(
 ) -> dict[str, Any]:
     """The object of ``relnav explain --json``, at the nominal trajectory x (N, size).
 
-    Raises what :func:`relnav_graph.bounds.bounds` raises.
+    Raises what :func:`relnav_graph.scoring.bounds.bounds` raises.
     """
     bound = bounds(problem, x)
     assembly = Assembly.of(problem)

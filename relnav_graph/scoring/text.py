@@ -56,7 +56,7 @@ def _state(name: str, width: int, kind: str, state: Mapping[str, Any]) -> list[s
 
 
 def table(summary: Mapping[str, Any]) -> str:
-    """The object of :func:`relnav_graph.metrics.summary` as text, 100 columns wide.
+    """The object of :func:`relnav_graph.scoring.metrics.summary` as text, 100 columns wide.
 
     First a row per estimator (status, run time in s, median step in ms, joint ANEES and
     its 95 % band, rejected observations), then a block per state in its unit.

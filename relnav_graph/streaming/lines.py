@@ -60,7 +60,7 @@ from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.io.columns import from_components, to_components
+from relnav_graph.io.tabular import from_components, to_components
 from relnav_graph.scenario.schema import from_pydantic
 
 __all__ = [

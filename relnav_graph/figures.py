@@ -21,8 +21,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind, Track, Truth
-from relnav_graph.deviation import errors, estimates, finite
-from relnav_graph.metrics import with_smoothed
+from relnav_graph.scoring.deviations import errors, estimates, finite
+from relnav_graph.scoring.metrics import with_smoothed
 
 __all__ = [
     "STYLE",
@@ -192,7 +192,7 @@ def error_figures(
 
     Where truth does not know the state: 1-sigma alone, on a logarithmic scale. Limits
     leave out transients and diverged tracks; a note in the panel says so. Raises
-    InputError as :func:`relnav_graph.metrics.errors` does.
+    InputError as :func:`relnav_graph.scoring.metrics.errors` does.
     """
     with mpl.rc_context(STYLE):
         lines = _lines(tracks, truth, derived)

@@ -1,0 +1,1 @@
+"""Tracks against truth: errors, consistency, bounds, observability; tables of them."""
