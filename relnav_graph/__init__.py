@@ -23,4 +23,66 @@ Conventions
 - Of an inertia only the ratios are observable: l_x = (J_y - J_z) / J_x and cyclic.
 """
 
-__version__ = "0.1.0"
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from relnav_graph.constants import VERSION as __version__
+
+if TYPE_CHECKING:
+    from relnav_graph.core.epochs import make_epochs
+    from relnav_graph.core.measurement import InputSeries, Measurement
+    from relnav_graph.core.problem import Prior, Problem
+    from relnav_graph.core.track import Recording, Track, Truth
+    from relnav_graph.estimators import run_estimator
+    from relnav_graph.estimators.online.driver import online
+    from relnav_graph.runs.comparison import Comparison, compare
+    from relnav_graph.scenario.build import load_scenario
+    from relnav_graph.scenario.scenario import Scenario
+
+__all__ = [
+    "Comparison",
+    "InputSeries",
+    "Measurement",
+    "Prior",
+    "Problem",
+    "Recording",
+    "Scenario",
+    "Track",
+    "Truth",
+    "__version__",
+    "compare",
+    "load_scenario",
+    "make_epochs",
+    "online",
+    "run_estimator",
+]
+
+#: Where each of them lives: loaded when first asked for, so that the import itself costs nothing.
+_HOMES = {
+    "Comparison": "runs.comparison",
+    "InputSeries": "core.measurement",
+    "Measurement": "core.measurement",
+    "Prior": "core.problem",
+    "Problem": "core.problem",
+    "Recording": "core.track",
+    "Scenario": "scenario.scenario",
+    "Track": "core.track",
+    "Truth": "core.track",
+    "compare": "runs.comparison",
+    "load_scenario": "scenario.build",
+    "make_epochs": "core.epochs",
+    "online": "estimators.online.driver",
+    "run_estimator": "estimators",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

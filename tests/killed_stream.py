@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 
 OPTIONS = ("--snapshot-every", "40", "--fsync", "never", "--allow-rejects")
 

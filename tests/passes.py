@@ -12,13 +12,13 @@ from toy_model import DriftingRange, PositionFix, ThermalDrift
 
 from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.arrays import Array
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.core.epochs import make_epochs
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, Truth
-from relnav_graph.loop import Flown
+from relnav_graph.runs.closed_loop import Flown
 
 ESTIMATORS = ("ekf", "iekf", "rts", "batch", "isam2")
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"

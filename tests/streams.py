@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.commands.stream import new_session
+from relnav_graph.cli.stream import new_session
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.streaming.lines import header_of, recording_lines
 from relnav_graph.streaming.session import Options, Session
 
 #: The command, in a process of its own.
-RELNAV = (sys.executable, "-c", "from relnav_graph.cli import main; main()")
+RELNAV = (sys.executable, "-c", "from relnav_graph.cli.main import main; main()")
 
 SCENARIO = """
 title = "position fixes and a laser ranger that drifts with its temperature"

@@ -17,7 +17,7 @@ from passes import EXPERIMENTS
 from factors.pose_odometry import PoseOdometry
 from factors.relative_pose import TargetRateInChaser
 from relnav_graph.arrays import Array
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import read_raw

@@ -12,7 +12,7 @@ import pytest
 from passes import EXPERIMENTS, ZHANG
 from streams import RELNAV
 
-from relnav_graph.cli import COMMANDS, main
+from relnav_graph.cli.main import COMMANDS, main
 
 SHORT = ("--set", "time.epochs=20")
 ROWS = ["ekf", "iekf", "rts", "batch", "isam2", "isam2_smoothed"]
@@ -63,7 +63,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_help_is_quick_and_names_every_command() -> None:
     """What makes start-up slow is not imported for it."""
     script = (
-        "import sys; from relnav_graph.cli import main\n"
+        "import sys; from relnav_graph.cli.main import main\n"
         "try: main(['--help'])\n"
         "except SystemExit as stopped: code = stopped.code\n"
         "slow = {'numpy', 'numba', 'gtsam', 'scipy', 'matplotlib', 'pydantic'} & set(sys.modules)\n"

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from passes import EXPERIMENTS, ZHANG
 
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.io.readers import read_raw
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.toml import read_toml

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from passes import ZHANG
 
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
 from relnav_graph.scenario.build import load_scenario

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from toy_model import RANGE_DRIFT, DriftingRange, ThermalDrift
 
 from relnav_graph.arrays import Array
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout

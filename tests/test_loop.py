@@ -19,8 +19,8 @@ from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.ekf import Ekf
 from relnav_graph.estimators.source import Source
 from relnav_graph.io.results import read_results
-from relnav_graph.loop import ClosedLoop, Flown, fly, fly_all
 from relnav_graph.maths import so3
+from relnav_graph.runs.closed_loop import ClosedLoop, Flown, fly, fly_all
 from relnav_graph.scenario.build import load_scenario, make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.toml import read_toml

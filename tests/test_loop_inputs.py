@@ -16,8 +16,8 @@ from relnav_graph.core.catalogue import CHASER_ATTITUDE
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
-from relnav_graph.loop import fly
 from relnav_graph.maths import so3
+from relnav_graph.runs.closed_loop import fly
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scoring.deviations import errors
 

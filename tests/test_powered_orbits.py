@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from relnav_graph.arrays import Array
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.errors import InputError
-from relnav_graph.loop import fly_all
 from relnav_graph.maths import so3
+from relnav_graph.runs.closed_loop import fly_all
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.sim.control.rendezvous import Rendezvous
 from relnav_graph.sim.truths.powered_dynamics import gravity

@@ -19,7 +19,7 @@ from outside import Outside
 from passes import ZHANG
 from PIL import Image
 
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.errors import InputError
 from relnav_graph.report import cells
 from relnav_graph.report import page as pages

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.core.measurement import InputSeries
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.schema import ScenarioError

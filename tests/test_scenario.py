@@ -13,7 +13,7 @@ import pytest
 from passes import EXPERIMENTS, ZHANG
 from scipy.special import chdtri
 
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
 from relnav_graph.scenario.build import load_scenario, make_scenario

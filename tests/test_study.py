@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from passes import ZHANG
 
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators import try_estimator
 from relnav_graph.scenario.build import load_scenario
@@ -146,7 +146,7 @@ def test_killed_and_resumed_it_ends_the_same(
     out = tmp_path / "killed"
     command = ["study", ZHANG, "--seed", 3, "--set", *SHORT, "--runs", RUNS, "-j", jobs, "-o", out]
     command += [part for kind in KINDS for part in ("-e", kind)]
-    start = "from relnav_graph.cli import main; main()"
+    start = "from relnav_graph.cli.main import main; main()"
     program = [sys.executable, "-c", start, *map(str, command)]
     with subprocess.Popen(program, stderr=subprocess.DEVNULL, start_new_session=True) as process:
         deadline = time.monotonic() + 120

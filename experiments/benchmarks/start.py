@@ -30,7 +30,7 @@ def _processor_time(arguments: list[str]) -> float:
 
 
 def _relnav(*arguments: str) -> list[str]:
-    program = "import sys; from relnav_graph.cli import main; main(sys.argv[1:])"
+    program = "import sys; from relnav_graph.cli.main import main; main(sys.argv[1:])"
     return [sys.executable, "-c", program, *arguments]
 
 

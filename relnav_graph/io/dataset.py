@@ -29,8 +29,8 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from relnav_graph import __version__
 from relnav_graph.arrays import Array
+from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.state import Block
@@ -339,7 +339,7 @@ def write_dataset(
             digests[path.name] = _digest(path.read_bytes())
         manifest = {
             "format": _FORMAT,
-            "writer": f"relnav-graph {__version__}",
+            "writer": f"relnav-graph {VERSION}",
             "truth_source": recording.truth.source if recording.truth else "",
             "settings": settings,
             "sha256": digests,

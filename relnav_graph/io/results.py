@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from relnav_graph import __version__
 from relnav_graph.arrays import Array
+from relnav_graph.constants import VERSION
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
@@ -144,7 +144,7 @@ def write_results(
         if key in _OWN:
             raise InputError(f"the attribute {key!r} is the format's own")
     order = json.dumps([track.name for track in tracks])
-    own: Attributes = {"writer": f"relnav-graph {__version__}", "tracks": order}
+    own: Attributes = {"writer": f"relnav-graph {VERSION}", "tracks": order}
     groups[""] = Group({**attributes, **own})
     write_groups(path, _FORMAT, _VERSION, groups)
 

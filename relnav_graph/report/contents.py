@@ -15,7 +15,8 @@ from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.manifest import PASS_FILE, PassManifest
 from relnav_graph.io.results import read_results
-from relnav_graph.loop import run_passes
+from relnav_graph.runs.comparison import compare_pass
+from relnav_graph.runs.passes import simulated_pass
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.metrics import summary, versions
@@ -72,21 +73,13 @@ class StudyContents:
     def remake(self, run: int) -> PassContents | None:
         """A run made again, which gives the same numbers; None when it fails."""
         try:
-            passes = run_passes(self.scenario, self.estimators, self.seed, run)
+            run_again = simulated_pass(self.scenario, self.seed, run)
+            found = compare_pass(run_again, self.estimators)
         except (RelnavError, ArithmeticError, np.linalg.LinAlgError):
             return None
-        tracks, truth = [t for one in passes for t in one.tracks], passes[0].truth
-        found = summary(
-            self.scenario.name,
-            self.seed,
-            tracks,
-            truth,
-            derived_quantities(self.scenario.layout),
-            self.scenario.window(self.scenario.times),
-            len(self.scenario.times),
-        )
         command = next((w.command for w in self.worst if w.run == run), "")
-        return PassContents(self.scenario, found, tracks, truth, command, versions())
+        tracks, truth = list(found.tracks), found.truths[0]
+        return PassContents(self.scenario, found.summary, tracks, truth, command, versions())
 
 
 def _lost(path: Path, there: set[int]) -> dict[int, str]:

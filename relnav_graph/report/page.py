@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 from matplotlib.figure import Figure
 
-from relnav_graph import __version__
+from relnav_graph.constants import VERSION
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError
 from relnav_graph.figures import error_figures, trajectory_figure
@@ -241,7 +241,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "results": cells.results(summary),
         "command": content.command,
         "versions": content.versions,
-        "version": __version__,
+        "version": VERSION,
     }
     if isinstance(content, StudyContents):
         context |= _study_context(content, gallery)

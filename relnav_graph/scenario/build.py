@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,8 +34,6 @@ __all__ = [
     "load_scenario",
     "make_scenario",
 ]
-
-_LOG = logging.getLogger(__name__)
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:

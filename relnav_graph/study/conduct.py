@@ -15,7 +15,7 @@ from relnav_graph.study.collect import Collected, collect
 from relnav_graph.study.execute import execute
 from relnav_graph.study.folder import StudyFolder
 from relnav_graph.study.record import Record
-from relnav_graph.study.runs import run_record, warm_up
+from relnav_graph.study.runs import prepare, run_record
 from relnav_graph.study.summary import rmse_precision, summarize
 from relnav_graph.study.verdict import verdict
 
@@ -68,7 +68,7 @@ def do_runs(
     if not missing:
         return lost
     spec_json = folder.spec.to_json()
-    warm_up(spec_json)
+    prepare(spec_json)
     task = partial(run_record, spec_json)
     results: Iterator[tuple[int, bytes | str]]
     if workers.executor is None and (workers.jobs == 1 or len(missing) == 1):

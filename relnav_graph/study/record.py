@@ -21,7 +21,7 @@ from relnav_graph.core.contracts import Derived
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Track
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.loop import Passed
+from relnav_graph.runs.comparison import Estimated
 from relnav_graph.scoring.bounds import bounds, true_trajectory
 from relnav_graph.scoring.deviations import (
     StateErrors,
@@ -225,7 +225,7 @@ def _limits(
 
 def make_record(
     run: int,
-    passes: Sequence[Passed],
+    passes: Sequence[Estimated],
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None,
     rng: np.random.Generator,

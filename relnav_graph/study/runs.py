@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph import loop
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators import try_estimator
+from relnav_graph.runs.comparison import estimate_pass
+from relnav_graph.runs.passes import simulated_pass
+from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.sim.sensors import stream
 from relnav_graph.study.record import Record, make_record
 
-__all__ = ["StudySpec", "run_record", "warm_up"]
+__all__ = ["StudySpec", "prepare", "run_record"]
 
 
 @dataclass(frozen=True)
@@ -62,15 +64,10 @@ def _prepared(spec_json: str) -> tuple[StudySpec, Scenario]:
     return spec, make_scenario(spec.raw, spec.name)
 
 
-def warm_up(spec_json: str) -> None:
+def prepare(spec_json: str) -> None:
     """Compile what the runs will need, in time for workers to find it compiled."""
     spec, scenario = _prepared(spec_json)
-    if scenario.control is not None:
-        loop.warm_up(scenario, spec.estimators, spec.seed)
-        return
-    problem = scenario.problem(scenario.simulate(spec.seed, 0), spec.seed, 0)
-    for kind in spec.estimators:
-        try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
+    warm_up(simulated_pass(scenario, spec.seed), spec.estimators)
 
 
 def run_record(spec_json: str, run: int) -> bytes:
@@ -88,7 +85,7 @@ def run_record(spec_json: str, run: int) -> bytes:
 def _run(spec: StudySpec, scenario: Scenario, run: int) -> Record:
     return make_record(
         run,
-        loop.run_passes(scenario, spec.estimators, spec.seed, run, try_estimator),
+        estimate_pass(simulated_pass(scenario, spec.seed, run), spec.estimators, try_estimator),
         derived_quantities(scenario.layout),
         scenario.window(scenario.times),
         stream(spec.seed, run, "probes"),

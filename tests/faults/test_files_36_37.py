@@ -54,7 +54,7 @@ def test_row_36_a_missing_file_is_named(tmp_path: Path, capsys: Capture, command
 
 LIMITED = """
 import resource, signal, sys
-from relnav_graph.cli import main
+from relnav_graph.cli.main import main
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
 main(sys.argv[2:])

@@ -8,11 +8,12 @@ from pathlib import Path
 import click
 
 from relnav_graph.arrays import Array
-from relnav_graph.commands import Pass, open_pass, show_progress
+from relnav_graph.cli.shared import show_events, show_progress
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import try_estimator
+from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.bounds import true_trajectory
 
 
@@ -50,6 +51,7 @@ def command(
     from relnav_graph.scoring.observability import explain
     from relnav_graph.scoring.text import explain_table
 
+    show_events()
     run = open_pass(scenario, seed, data, assignments)
     problem = run.scenario.problem(run.recording, run.seed)
     found = explain(

@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 
-from relnav_graph.commands import check_before_work, report, show_events, show_progress
-from relnav_graph.commands.progress import study_progress
+from relnav_graph.cli.progress import study_progress
+from relnav_graph.cli.shared import check_before_work, report, show_events, show_progress
 from relnav_graph.errors import InputError
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.conduct import Workers, do_runs, do_until, merge, study_summary

@@ -8,7 +8,7 @@ the noises are the same for all. What was flown is then scored like any other pa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -35,7 +35,13 @@ from relnav_graph.sim.contracts import Flight
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
 from relnav_graph.sim.sensors import check_known, measure_once, stream
 
-__all__ = ["ClosedLoop", "Flown", "Passed", "flies", "fly", "fly_all", "run_passes", "warm_up"]
+__all__ = [
+    "ClosedLoop",
+    "Flown",
+    "flies",
+    "fly",
+    "fly_all",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,39 +203,3 @@ def fly_all(scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0) -
             raise InputError(f"estimator {kind!r} smooths what another has flown: name one before")
         track = try_estimator(kind, last.problem)
         yield Flown(last.problem, replace(track, truth=last.track.truth))
-
-
-@dataclass(frozen=True, eq=False)
-class Passed:
-    """A pass with what estimators made of it: problem, truth, tracks."""
-
-    problem: Problem
-    truth: Truth | None
-    tracks: Sequence[Track]
-
-
-def run_passes(
-    scenario: Scenario,
-    kinds: Sequence[str],
-    seed: int,
-    run: int = 0,
-    estimate: Callable[[str, Problem], Track] = try_estimator,
-) -> list[Passed]:
-    """A run of a scenario: the simulated pass with all estimators, or, where there is a
-    controller, the passes that they fly. estimate: what runs an estimator on a pass that was
-    simulated. Raises InputError as these do."""
-    if scenario.control is not None:
-        flown = fly_all(scenario, kinds, seed, run)
-        return [Passed(f.problem, f.track.truth, [f.track]) for f in flown]
-    recording = scenario.simulate(seed, run)
-    problem = scenario.problem(recording, seed, run)
-    return [Passed(problem, recording.truth, [estimate(kind, problem) for kind in kinds])]
-
-
-def warm_up(scenario: Scenario, kinds: Sequence[str], seed: int) -> None:
-    """Compile what estimators need to fly, on a few epochs."""
-    assert scenario.file.time is not None
-    few = scenario.file.time.model_copy(update={"epochs": min(4, scenario.file.time.epochs)})
-    short = replace(scenario, file=scenario.file.model_copy(update={"time": few}))
-    for _ in fly_all(short, kinds, seed):
-        pass

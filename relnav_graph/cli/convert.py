@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import is_dataset, open_dataset, open_pass, show_progress
+from relnav_graph.cli.shared import show_events, show_progress
 from relnav_graph.errors import InputError
 from relnav_graph.io.dataset import Format, write_dataset
 from relnav_graph.io.results import read_results, write_csv
+from relnav_graph.runs.passes import is_dataset, open_dataset, open_pass
 
 
 @click.command("convert")
@@ -33,6 +34,7 @@ def command(
         write_csv(target, tracks)
         show_progress(f"{target}: {len(tracks)} tracks")
         return
+    show_events()
     if is_dataset(source):
         run = open_dataset(source, assignments)
     elif scenario is not None:

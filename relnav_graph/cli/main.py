@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from relnav_graph import __version__
+from relnav_graph.constants import VERSION
 
 __all__ = ["main"]
 
@@ -51,7 +51,7 @@ class _Lazy(click.Group):
             return None
         # Modules of these names would hide a builtin and a function from their own package.
         name = {"list": "listing", "report": "reporting"}.get(cmd_name, cmd_name)
-        module = importlib.import_module(f"relnav_graph.commands.{name}")
+        module = importlib.import_module(f"relnav_graph.cli.shared.{name}")
         command: click.Command = module.command
         return command
 
@@ -61,7 +61,7 @@ class _Lazy(click.Group):
 
 
 @click.group(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="relnav")
+@click.version_option(VERSION, prog_name="relnav")
 def _relnav() -> None:
     """Relative navigation: factor-graph smoothing compared with Kalman filters.
 

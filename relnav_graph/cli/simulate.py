@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import show_events, show_progress
+from relnav_graph.cli.shared import show_events, show_progress
 from relnav_graph.io.dataset import Format, write_dataset
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.streaming.lines import recording_lines

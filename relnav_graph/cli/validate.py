@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import open_dataset
+from relnav_graph.cli.shared import show_events
+from relnav_graph.runs.passes import open_dataset
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.schema import json_schema
@@ -25,6 +26,7 @@ def command(file: Path | None, assignments: tuple[str, ...], schema: bool) -> No
     if file is None:
         raise click.UsageError("Missing argument 'FILE'.")
     if file.is_dir():
+        show_events()
         run = open_dataset(file, assignments)
         run.scenario.problem(run.recording, run.seed)
         counted: dict[str, int] = {}

@@ -12,7 +12,7 @@ import click
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph.commands import check_before_work, show_events, show_progress
+from relnav_graph.cli.shared import check_before_work, show_events, show_progress
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario

@@ -6,7 +6,16 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import check_before_work, estimate, open_pass, report, write_outputs
+from relnav_graph.cli.shared import (
+    check_before_work,
+    command_line,
+    report,
+    show_events,
+    show_progress,
+)
+from relnav_graph.runs.comparison import compare_pass
+from relnav_graph.runs.outputs import write_outputs
+from relnav_graph.runs.passes import open_pass
 
 
 @click.command("compare")
@@ -35,8 +44,10 @@ def command(
     scenario with a controller, each estimator flies a pass of its own, with the same noises.
     """
     check_before_work(kinds, out)
+    show_events()
     run = open_pass(scenario, seed, data, assignments, number, loops=True)
-    tracks, found = estimate(run, kinds)
+    found = compare_pass(run, kinds, show_progress)
     if out is not None:
-        write_outputs(out, run, tracks, found)
-    return report(found, as_json)
+        show_progress(f"writing {out} ...")
+        write_outputs(out, run, found, command_line())
+    return report(found.summary, as_json)

@@ -6,7 +6,16 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.commands import check_before_work, estimate, open_dataset, report, write_outputs
+from relnav_graph.cli.shared import (
+    check_before_work,
+    command_line,
+    report,
+    show_events,
+    show_progress,
+)
+from relnav_graph.runs.comparison import compare_pass
+from relnav_graph.runs.outputs import write_outputs
+from relnav_graph.runs.passes import open_dataset
 
 
 @click.command("smooth")
@@ -26,7 +35,9 @@ def command(
 ) -> int:
     """Smooth the pass recorded in DATASET, by the scenario that lies in it."""
     check_before_work(kinds, out)
+    show_events()
     run = open_dataset(dataset, assignments)
-    tracks, found = estimate(run, kinds or ("batch",))
-    write_outputs(out, run, tracks, found)
-    return report(found, as_json)
+    found = compare_pass(run, kinds or ("batch",), show_progress)
+    show_progress(f"writing {out} ...")
+    write_outputs(out, run, found, command_line())
+    return report(found.summary, as_json)

@@ -1,0 +1,66 @@
+"""What the commands share: messages, checks before work, exit codes."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from relnav_graph.errors import InputError
+from relnav_graph.estimators import GROUP
+from relnav_graph.registry import find_class
+from relnav_graph.scoring.text import table as comparison_table
+
+__all__ = ["check_before_work", "command_line", "report", "show_events", "show_progress"]
+
+
+class _Events(logging.Handler):
+    """What the library says of its progress, as lines on standard error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        click.echo(record.getMessage(), err=True)
+
+
+def show_progress(text: str) -> None:
+    """One line on standard error, for work that takes seconds."""
+    click.echo(text, err=True)
+
+
+def show_events() -> None:
+    """Show what the library says from now on."""
+    logger = logging.getLogger("relnav_graph")
+    if not any(isinstance(h, _Events) for h in logger.handlers):
+        logger.addHandler(_Events())
+        logger.setLevel(logging.INFO)
+
+
+def command_line() -> str:
+    """What the user typed, for manifests."""
+    return str(click.get_current_context().obj or "")
+
+
+def check_before_work(kinds: Sequence[str], out: Path | None) -> None:
+    """Refuse, before any work, estimators that do not exist and folders that cannot be.
+
+    Raises ModelError or InputError.
+    """
+    for kind in kinds:
+        find_class(GROUP, kind)
+    if out is not None and out.exists() and not out.is_dir():
+        raise InputError(f"-o {out}: is a file, expected a folder")
+
+
+def report(
+    found: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]], str] = comparison_table
+) -> int:
+    """Print the summary; the exit code, 3 when an estimate is not to be trusted."""
+    click.echo(json.dumps(found, allow_nan=False) if as_json else table(found))
+    bad = [n for n, row in found["estimators"].items() if row["status"] != "ok"]
+    for name in bad:
+        row = found["estimators"][name]
+        click.echo(f"{name}: {row['status']}: {row['message']}", err=True)
+    return 3 if bad or found.get("failed") else 0

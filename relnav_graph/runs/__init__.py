@@ -1,0 +1,1 @@
+"""One place that makes a run: a pass opened or flown, and estimators run on it."""

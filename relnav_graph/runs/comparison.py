@@ -1,0 +1,126 @@
+"""One run of a scenario: a pass, and what estimators make of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Recording, Track, Truth
+from relnav_graph.estimators import try_estimator
+from relnav_graph.runs.closed_loop import fly_all
+from relnav_graph.runs.passes import Pass, open_pass
+from relnav_graph.runs.warm_up import warm_up
+from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scoring.metrics import summary
+
+__all__ = ["Comparison", "Estimated", "compare", "compare_pass", "estimate_pass"]
+
+#: Is told, in a line of text each, of steps that take seconds.
+Listener = Callable[[str], None]
+
+
+def _silent(text: str) -> None:
+    """Nobody listens."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """One pass with what estimators made of it: problem, truth where known, tracks."""
+
+    problem: Problem
+    truth: Truth | None
+    tracks: Sequence[Track]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Several estimators on one pass, scored.
+
+    tracks: one for each estimator, in order; problems and truths: of each track, the same
+    ones for all but in a closed loop, where each estimator flies a pass of its own; summary:
+    the object that `relnav compare --json` prints.
+    """
+
+    tracks: tuple[Track, ...]
+    problems: tuple[Problem, ...]
+    truths: tuple[Truth | None, ...]
+    summary: dict[str, Any]
+
+    def track(self, name: str) -> Track:
+        """The track of an estimator. Raises KeyError when there is none of that name."""
+        return {track.name: track for track in self.tracks}[name]
+
+
+def estimate_pass(
+    run: Pass,
+    kinds: Sequence[str],
+    estimate: Callable[[str, Problem], Track] = try_estimator,
+    tell: Listener = _silent,
+) -> list[Estimated]:
+    """Run estimators on one problem, or have each fly its own where there is a controller.
+
+    kinds: of estimators, in order; estimate: what runs one on a pass that is not flown; tell:
+    hears of each step. Raises InputError when the pass gives no problem, or cannot be flown.
+    """
+    if run.flown:
+        tell(f"{run.scenario.name}: each of {', '.join(kinds)} flies a pass of its own ...")
+        out = []
+        for flown in fly_all(run.scenario, kinds, run.seed, run.run):
+            tell(f"{flown.track.name}: {len(flown.problem.epochs)} epochs")
+            out.append(Estimated(flown.problem, flown.track.truth, [flown.track]))
+        return out
+    problem = run.scenario.problem(run.recording, run.seed, run.run)
+    tracks = []
+    for kind in kinds:
+        tell(f"{kind}: {len(problem.epochs)} epochs ...")
+        tracks.append(estimate(kind, problem))
+    return [Estimated(problem, run.recording.truth, tracks)]
+
+
+def compare_pass(
+    run: Pass, kinds: Sequence[str] | None = None, tell: Listener = _silent
+) -> Comparison:
+    """Run estimators on a pass that is open, and score them; see :func:`compare`."""
+    chosen = list(dict.fromkeys(kinds or run.scenario.file.estimators))
+    warm_up(run, chosen)
+    made = estimate_pass(run, chosen, tell=tell)
+    each = [(one, track) for one in made for track in one.tracks]
+    tracks, times = tuple(track for _, track in each), run.recording.times
+    found = summary(
+        run.scenario.name,
+        run.seed if run.simulated else None,
+        tracks,
+        run.recording.truth,
+        derived_quantities(run.scenario.layout),
+        run.scenario.window(times),
+        len(times),
+    )
+    problems, truths = tuple(o.problem for o, _ in each), tuple(o.truth for o, _ in each)
+    return Comparison(tracks, problems, truths, found)
+
+
+def compare(
+    scenario: Scenario | str | Path,
+    kinds: Sequence[str] | None = None,
+    *,
+    seed: int | None = None,
+    run: int = 0,
+    data: Recording | str | Path | None = None,
+) -> Comparison:
+    """Run estimators on a simulated or recorded pass and score them against its truth.
+
+    scenario: one that is loaded, or its file; kinds: of estimators, by default those that the
+    scenario names; seed: root of what is drawn, by default the scenario's; run: number of the
+    draw, as in a study; data: a recording, a data-set folder, or a raw folder for the reader
+    that the scenario names; without, the pass is simulated, or, where the scenario has a
+    controller, flown by each estimator.
+
+    Raises InputError (ScenarioError for the file) or ModelError on whatever is wrong with any
+    of them. An estimator that diverges raises nothing: its track says so.
+    """
+    opened = open_pass(scenario, seed, data, run=run, loops=True)
+    return compare_pass(opened, kinds)

@@ -1,0 +1,129 @@
+"""A scenario with what it is run on: a simulated pass, a data set, or a recorded folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from relnav_graph.core.track import Recording
+from relnav_graph.errors import InputError
+from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
+from relnav_graph.io.readers import read_raw
+from relnav_graph.scenario.build import make_scenario
+from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.toml import override, read_toml
+
+__all__ = ["Pass", "is_dataset", "open_dataset", "open_pass", "simulated_pass"]
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """A scenario with the recording it is run on.
+
+    seed: root of what is drawn, the prior's mean at least; simulated: whether the recording
+    was drawn from it too; run: which of the runs of a study it is; flown: whether estimators
+    are to fly it themselves, in loops: the recording then holds the times alone.
+    """
+
+    scenario: Scenario
+    recording: Recording
+    seed: int
+    simulated: bool
+    run: int = 0
+    flown: bool = False
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder is a data set (it has a scenario.toml)."""
+    return (folder / "scenario.toml").is_file()
+
+
+def simulated_pass(scenario: Scenario, seed: int, run: int = 0, loops: bool = True) -> Pass:
+    """A pass drawn from a scenario.
+
+    loops: a scenario with a controller is not simulated, but left to be flown. Raises
+    InputError on a scenario that is not for simulation.
+    """
+    if loops and scenario.control is not None:
+        return Pass(scenario, Recording(scenario.times, ()), seed, True, run, True)
+    return Pass(scenario, scenario.simulate(seed, run), seed, True, run)
+
+
+def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
+    """A data set with its own scenario, settings changed by "key=value" assignments.
+
+    Raises InputError on whatever is wrong.
+    """
+    _need_folder(folder)
+    raw = override(read_scenario_of(folder), assignments)
+    scenario = make_scenario(raw, folder.name, read_settings_of(folder))
+    return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
+
+
+def open_pass(
+    scenario: Scenario | str | Path,
+    seed: int | None = None,
+    data: Recording | str | Path | None = None,
+    assignments: Sequence[str] = (),
+    run: int = 0,
+    loops: bool = False,
+) -> Pass:
+    """A scenario with simulated data, a recording, a data set, or a raw folder that its reader
+    knows.
+
+    scenario: one that is loaded, or its file; seed: by default the scenario's; assignments:
+    "key=value", settings to change; run: number of the draw; loops: see `simulated_pass`.
+
+    Raises InputError on whatever is wrong with any of them.
+    """
+    known = scenario if isinstance(scenario, Scenario) else None
+    path = None if isinstance(scenario, Scenario) else Path(scenario)
+    raw = override(known.raw if known else read_toml(Path(str(path))), assignments)
+    where = known.name if known else str(path)
+
+    def made(settings: Mapping[str, Any] | None) -> Scenario:
+        if known and not assignments and not settings:
+            return known
+        return make_scenario(raw, known.name if known else Path(str(path)).stem, settings)
+
+    def root_of(scenario: Scenario) -> int:
+        return scenario.file.seed if seed is None else seed
+
+    if data is None:
+        drawn = made(None)
+        return simulated_pass(drawn, root_of(drawn), run, loops)
+    if isinstance(data, Recording):
+        recording = data
+    else:
+        folder = Path(data)
+        _need_folder(folder)
+        if is_dataset(folder):
+            own = made(read_settings_of(folder))
+            return Pass(own, _recorded(own, folder), root_of(own), False, run)
+        recording = _read_folder(where, raw, folder)
+    own = made(recording.settings)
+    return Pass(own, own.completed(recording, root_of(own), run), root_of(own), False, run)
+
+
+def _read_folder(where: str, raw: Mapping[str, Any], folder: Path) -> Recording:
+    """What the reader that a scenario names makes of a raw folder."""
+    settings = raw.get("data")
+    if not isinstance(settings, dict) or "reader" not in settings:
+        raise InputError(
+            f"{folder}: no scenario.toml in it, and {where} names no [data] reader for raw folders"
+        )
+    return read_raw(str(settings["reader"]), folder, settings.get("options", {}))
+
+
+def _recorded(scenario: Scenario, folder: Path) -> Recording:
+    """The recording in a data set; a sensor's table is read by the scenario's model."""
+    blocks = {b.name: b for b in scenario.layout}
+    return read_dataset(folder, scenario.sensors, scenario.input_columns, blocks)
+
+
+def _need_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        what = "is a file, expected a folder" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {what}")

@@ -1,0 +1,33 @@
+"""Compiling ahead, so that compilation does not count as the run time of an estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from relnav_graph.estimators import try_estimator
+from relnav_graph.runs.closed_loop import fly_all
+from relnav_graph.runs.passes import Pass
+from relnav_graph.scenario.scenario import Scenario
+
+__all__ = ["warm_up"]
+
+
+def warm_up(run: Pass, kinds: Sequence[str]) -> None:
+    """Compile what estimators need, by running them on a few epochs of a pass.
+
+    Raises InputError as a whole run would.
+    """
+    if run.flown:
+        for _ in fly_all(_first_epochs(run.scenario), kinds, run.seed):
+            pass
+        return
+    problem = run.scenario.problem(run.recording, run.seed, run.run)
+    for kind in kinds:
+        try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
+
+
+def _first_epochs(scenario: Scenario) -> Scenario:
+    assert scenario.file.time is not None
+    few = scenario.file.time.model_copy(update={"epochs": min(4, scenario.file.time.epochs)})
+    return replace(scenario, file=scenario.file.model_copy(update={"time": few}))
