@@ -51,7 +51,7 @@ class _Lazy(click.Group):
             return None
         # Modules of these names would hide a builtin and a function from their own package.
         name = {"list": "listing", "report": "reporting"}.get(cmd_name, cmd_name)
-        module = importlib.import_module(f"relnav_graph.cli.shared.{name}")
+        module = importlib.import_module(f"relnav_graph.cli.{name}")
         command: click.Command = module.command
         return command
 
