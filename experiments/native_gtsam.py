@@ -25,9 +25,9 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, P, T, V
+from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
+from relnav_factors.sensors.beacon_los import BeaconLineOfSight
 
-from factors.beacon_los import BeaconLineOfSight
-from factors.eccentric_relative_motion import EccentricRelativeMotion
 from relnav_graph.core.catalogue import (
     CHASER_ATTITUDE,
     RELATIVE_POSITION,

@@ -7,16 +7,22 @@ one new file, and a third party's package adds its own without touching this one
 from __future__ import annotations
 
 import importlib
+import logging
 import pkgutil
 from collections.abc import Iterator, Mapping
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any
 
 from relnav_graph.errors import ModelError
 
 __all__ = ["classes", "find_class"]
+
+
+_LOG = logging.getLogger(__name__)
+#: The distribution whose own packages must be whole.
+_OWN = "relnav-graph"
 
 
 def _modules(package: str) -> Iterator[ModuleType]:
@@ -26,21 +32,55 @@ def _modules(package: str) -> Iterator[ModuleType]:
         yield importlib.import_module(info.name)
 
 
+def _with_a_kind(module: ModuleType) -> Iterator[type[Any]]:
+    """The classes that a module defines itself and that have a kind of their own."""
+    for cls in vars(module).values():
+        own = isinstance(cls, type) and cls.__module__ == module.__name__
+        if own and isinstance(vars(cls).get("kind"), str):
+            yield cls
+
+
+def _classes_of(entry: EntryPoint) -> list[type[Any]]:
+    """The classes in the package of an entry point.
+
+    Another distribution's package that cannot be imported is named in a warning and left out:
+    it must not take down what does not need it. Raises ModelError on a package without any
+    such class, as where a stray file beside the user's script hides the real one.
+    """
+    try:
+        modules = list(_modules(entry.value))
+    except (Exception, SystemExit) as error:
+        owner = entry.dist.name if entry.dist is not None else "unknown"
+        if owner == _OWN:
+            raise
+        _LOG.warning(
+            f"{entry.group}: {entry.name} = {entry.value!r} of {owner} cannot be imported, and is"
+            f" left out: {type(error).__name__}: {error}"
+        )
+        return []
+    found = [cls for module in modules for cls in _with_a_kind(module)]
+    if not found:
+        file = getattr(modules[0], "__file__", None) or list(modules[0].__path__)
+        raise ModelError(
+            f"{entry.group}: {entry.name} = {entry.value!r} is {file}, which holds no class with a"
+            " kind; does it hide the package that was meant?"
+        )
+    return found
+
+
 @cache
 def classes(group: str) -> Mapping[str, type[Any]]:
     """Classes that define `kind`, by kind, of all packages in an entry-point group.
 
-    Raises ModelError when two classes define the same kind.
+    Raises ModelError when two classes define the same kind, or a package defines none.
     """
+    entries = {entry.value: entry for entry in entry_points(group=group)}
     found: dict[str, type[Any]] = {}
-    for package in sorted({entry.value for entry in entry_points(group=group)}):
-        for module in _modules(package):
-            for cls in vars(module).values():
-                own = isinstance(cls, type) and cls.__module__ == module.__name__
-                if own and isinstance(vars(cls).get("kind"), str):
-                    other = found.setdefault(cls.kind, cls)
-                    if other is not cls:
-                        raise ModelError(f"kind {cls.kind!r} is defined twice: {other} and {cls}")
+    for _, entry in sorted(entries.items()):
+        for cls in _classes_of(entry):
+            other = found.setdefault(cls.kind, cls)
+            if other is not cls:
+                raise ModelError(f"kind {cls.kind!r} is defined twice: {other} and {cls}")
     return dict(sorted(found.items()))
 
 

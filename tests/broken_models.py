@@ -11,9 +11,9 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
 from toy_model import PositionFix, ThermalDrift
 
-from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.epochs import Epoch, make_epochs

@@ -13,32 +13,37 @@ from typing import Any
 
 import numpy as np
 from draws import PLACES, Draw, draw_block, draw_blocks
+from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios, InertiaRatios
+from relnav_factors.derived.relative_pose import (
+    PositionInTarget,
+    RelativeAttitude,
+    TargetRateInChaser,
+)
+from relnav_factors.dynamics.accelerometer_bias import AccelerometerBias
+from relnav_factors.dynamics.body_velocity import BodyVelocity
+from relnav_factors.dynamics.earth_sensor_bias import EarthSensorBias
+from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
+from relnav_factors.dynamics.euler_rotation import EulerRotation
+from relnav_factors.dynamics.gravity_gradient_rotation import GravityGradientRotation
+from relnav_factors.dynamics.gyro_bias import GyroBias
+from relnav_factors.dynamics.inertial_orbit_motion import InertialOrbitMotion
+from relnav_factors.dynamics.inertial_relative_motion import InertialRelativeMotion
+from relnav_factors.dynamics.orbit_two_body import OrbitTwoBody
+from relnav_factors.dynamics.previous_pose import PreviousPose
+from relnav_factors.dynamics.receiver_clock import ReceiverClock
+from relnav_factors.dynamics.relative_two_body import RelativeTwoBody
+from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_factors.sensors.attitude_odometry import AttitudeOdometry
+from relnav_factors.sensors.beacon_los import BeaconLineOfSight
+from relnav_factors.sensors.earth_sensor import EarthSensor
+from relnav_factors.sensors.gps_position import GpsPosition
+from relnav_factors.sensors.gps_pseudorange import GpsPseudorange
+from relnav_factors.sensors.laser_range_angles import LaserRangeAngles
+from relnav_factors.sensors.pose_odometry import PoseOdometry
+from relnav_factors.sensors.star_tracker import StarTracker
+from relnav_factors.sensors.stereo_point import StereoPoint, StereoPointCartesian
+from relnav_factors.sensors.vision_attitude import VisionAttitude
 
-from factors.accelerometer_bias import AccelerometerBias
-from factors.attitude_odometry import AttitudeOdometry
-from factors.beacon_los import BeaconLineOfSight
-from factors.body_velocity import BodyVelocity
-from factors.earth_sensor import EarthSensor, EarthSensorBias
-from factors.eccentric_relative_motion import EccentricRelativeMotion
-from factors.euler_rotation import EulerRotation
-from factors.gps_position import GpsPosition
-from factors.gps_pseudorange import GpsPseudorange
-from factors.gravity_gradient_rotation import GravityGradientRotation
-from factors.gyro_bias import GyroBias
-from factors.inertia_ratios import InertiaMatrixRatios, InertiaRatios
-from factors.inertial_orbit_motion import InertialOrbitMotion
-from factors.inertial_relative_motion import InertialRelativeMotion
-from factors.laser_range_angles import LaserRangeAngles
-from factors.orbit_two_body import OrbitTwoBody
-from factors.pose_odometry import PoseOdometry
-from factors.previous_pose import PreviousPose
-from factors.receiver_clock import ReceiverClock
-from factors.relative_attitude import VisionAttitude
-from factors.relative_pose import PositionInTarget, RelativeAttitude, TargetRateInChaser
-from factors.relative_two_body import RelativeTwoBody
-from factors.star_tracker import StarTracker
-from factors.stereo_point import StereoPoint, StereoPointCartesian
-from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.arrays import Array
 from relnav_graph.maths import so3
 from relnav_graph.maths.orbit import KeplerOrbit

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
 from toy_model import DriftingRange, PositionFix, ThermalDrift
 
-from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.arrays import Array
 from relnav_graph.cli.main import main
 from relnav_graph.core.epochs import make_epochs

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from examples import HU_INERTIA
 from passes import EXPERIMENTS
+from relnav_factors.derived.relative_pose import TargetRateInChaser
+from relnav_factors.sensors.pose_odometry import PoseOdometry
 
-from factors.pose_odometry import PoseOdometry
-from factors.relative_pose import TargetRateInChaser
 from relnav_graph.arrays import Array
 from relnav_graph.cli.main import main
 from relnav_graph.core.track import Recording

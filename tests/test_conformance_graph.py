@@ -18,10 +18,10 @@ import pytest
 from draws import REGIMES
 from examples import BEACONS, MOUNTED
 from numeric import assert_jacobian, differences, steps_for
+from relnav_factors.sensors.stereo_point import StereoPointCartesian
 from test_conformance import DYNAMICS, SENSORS, looks, seed_of, sizes
 from test_conformance_dynamics import Interval, intervals, layout_of, transition
 
-from factors.stereo_point import StereoPointCartesian
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from examples import HU_INERTIA
+from relnav_factors.dynamics.gravity_gradient_rotation import GravityGradientRotation
 
-from factors.gravity_gradient_rotation import GravityGradientRotation
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError

@@ -14,16 +14,16 @@ from typing import Any, get_args, get_type_hints
 import gtsam
 import numpy as np
 import pytest
+import relnav_factors
 from examples import BEACONS, EXAMPLES, LOW, MOUNTED, SensorExample, gyro_model
+from relnav_factors.derived.inertia_ratios import InertiaRatios
+from relnav_factors.derived.relative_pose import PositionInTarget, RelativeAttitude
+from relnav_factors.dynamics.euler_rotation import EulerRotation
+from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_factors.sensors.beacon_los import BeaconLineOfSight
+from relnav_factors.sensors.stereo_point import StereoPointCartesian
 
-import factors
 import relnav_graph
-from factors.beacon_los import BeaconLineOfSight
-from factors.euler_rotation import EulerRotation
-from factors.inertia_ratios import InertiaRatios
-from factors.relative_pose import PositionInTarget, RelativeAttitude
-from factors.stereo_point import StereoPointCartesian
-from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.core.catalogue import (
     CHASER_ATTITUDE,
     GYRO_BIAS,
@@ -53,7 +53,7 @@ from relnav_graph.units import Quantity, parse_quantity
 Test = Callable[..., None]
 
 DEG = np.pi / 180
-HOUSES = [Path(str(package.__file__)).parent for package in (relnav_graph, factors)]
+HOUSES = [Path(str(package.__file__)).parent for package in (relnav_graph, relnav_factors)]
 SOURCES = sorted(path for house in HOUSES for path in house.rglob("*.py"))
 ASSERTED: dict[str, Test] = {}
 
@@ -358,17 +358,18 @@ def imported(path: Path) -> Iterator[str]:
 
 def test_relnav_graph_never_imports_factors() -> None:
     for path in HOUSES[0].rglob("*.py"):
-        found = [m for m in imported(path) if m.split(".")[0] == "factors"]
+        found = [m for m in imported(path) if m.split(".")[0] == "relnav_factors"]
         assert not found, f"{path.name} imports {found}: models are found by their kind"
 
 
 def test_factors_import_numpy_numba_and_the_contracts_only() -> None:
     allowed = {"__future__", "collections", "dataclasses", "math", "typing", "numba", "numpy"}
+    allowed |= {"relnav_factors"}
     floors = {"arrays", "compiled", "constants", "core", "errors", "maths", "units"}
     for path in HOUSES[1].rglob("*.py"):
         for module in imported(path):
             top, *floor = module.split(".")
-            known = top in allowed | {"factors"} or (top == "relnav_graph" and floor[0] in floors)
+            known = top in allowed or (top == "relnav_graph" and floor[0] in floors)
             assert known, f"{path.name} imports {module}"
 
 
@@ -377,7 +378,7 @@ def test_only_the_adapter_builds_custom_factors() -> None:
     assert users == ["gtsam_factors.py"]
 
 
-@pytest.mark.parametrize("module", ["relnav_graph", "relnav_graph.core.models", "factors"])
+@pytest.mark.parametrize("module", ["relnav_graph", "relnav_graph.core.models", "relnav_factors"])
 def test_importing_draws_in_no_matplotlib(module: str) -> None:
     code = (
         f"import sys, {module}\n"

@@ -24,12 +24,12 @@ from passes import (
     toy_measurements,
     toy_problem,
 )
+from relnav_factors.dynamics.gyro_bias import GyroBias
+from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
+from relnav_factors.sensors.stereo_point import StereoPoint
 from scipy.special import chdtri
 from toy_model import RANGE_DRIFT, PositionFix
 
-from factors.gyro_bias import GyroBias
-from factors.stereo_point import StereoPoint
-from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.epochs import make_epochs

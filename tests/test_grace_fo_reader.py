@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from passes import EXPERIMENTS, relnav
+from relnav_factors.dynamics.relative_two_body import RelativeTwoBody
 
-from factors.relative_two_body import RelativeTwoBody
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.errors import InputError

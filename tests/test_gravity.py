@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.polynomial import legendre
+from relnav_factors.dynamics.orbit_two_body import OrbitTwoBody
+from relnav_factors.dynamics.relative_two_body import RelativeTwoBody
+from relnav_factors.shared.gravity import earth_field, gravity_difference, zonal_gravity
 
-from factors._gravity import earth_field, gravity_difference, zonal_gravity
-from factors.orbit_two_body import OrbitTwoBody
-from factors.relative_two_body import RelativeTwoBody
 from relnav_graph.arrays import Array
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.maths.orbit import two_body

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from examples import HU_INERTIA
 from passes import EXPERIMENTS
+from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios
+from relnav_factors.dynamics.euler_rotation import EulerRotation
+from relnav_factors.shared.inertia import inertia_matrix
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from factors._inertia import inertia_matrix
-from factors.euler_rotation import EulerRotation
-from factors.inertia_ratios import InertiaMatrixRatios
 from relnav_graph.arrays import Array
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError

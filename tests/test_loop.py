@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from passes import EXPERIMENTS, relnav, truth_of
+from relnav_factors.sensors.vision_attitude import VisionAttitude
 
-from factors.relative_attitude import VisionAttitude
 from relnav_graph.core.catalogue import CHASER_ATTITUDE
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import EstimationError, InputError, ModelError

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from examples import gyro_model
+from relnav_factors.derived.inertia_ratios import InertiaRatios
+from relnav_factors.dynamics.body_velocity import BodyVelocity
+from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
+from relnav_factors.dynamics.euler_rotation import EulerRotation
 
-from factors.body_velocity import BodyVelocity
-from factors.eccentric_relative_motion import EccentricRelativeMotion
-from factors.euler_rotation import EulerRotation
-from factors.inertia_ratios import InertiaRatios
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.maths import so3

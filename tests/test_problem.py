@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from passes import PRIOR, PROCESSES, SENSORS, toy_problem
+from relnav_factors.dynamics.gyro_bias import GyroBias
 
-from factors.gyro_bias import GyroBias
 from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.problem import Prior, Problem

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from relnav_factors.dynamics.gyro_bias import GyroBias
+from relnav_factors.dynamics.inertial_orbit_motion import InertialOrbitMotion
+from relnav_factors.shared.strapdown import condense
 
-from factors._strapdown import condense
-from factors.gyro_bias import GyroBias
-from factors.inertial_orbit_motion import InertialOrbitMotion
 from relnav_graph.arrays import Array
 from relnav_graph.maths import so3
 from relnav_graph.sim.instruments.strapdown import StrapdownAccelerometer, StrapdownGyro

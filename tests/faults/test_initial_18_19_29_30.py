@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from online_passes import fresh, zhang
 from passes import differences, stored
+from relnav_factors.sensors.stereo_point import StereoPointCartesian
 
-from factors.stereo_point import StereoPointCartesian
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout

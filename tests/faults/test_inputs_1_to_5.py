@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from online_passes import KINDS, assert_same, driven, fresh, in_sigmas, snapshot, toy, zhang
 from passes import ONE_ID, PRIOR, RANGER, toy_measurements, toy_problem
+from relnav_factors.sensors.beacon_los import BeaconLineOfSight
 from toy_model import PositionFix
 
-from factors.beacon_los import BeaconLineOfSight
 from relnav_graph.arrays import Array
 from relnav_graph.core.catalogue import CHASER_ATTITUDE
 from relnav_graph.core.problem import Prior

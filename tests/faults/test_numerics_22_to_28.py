@@ -11,9 +11,9 @@ import pytest
 from numeric import assert_jacobian, differences
 from online_passes import KINDS, assert_same, driven, fresh, snapshot, toy
 from passes import FIX, ONE_ID, PROCESSES, RANGER, SENSORS, toy_measurements, toy_problem
+from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
 from toy_model import RANGE_DRIFT, DriftingRange, PositionFix
 
-from factors.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import RELATIVE_POSITION

@@ -1,0 +1,1 @@
+"""Quantities computed from the state, for tables and covariances."""

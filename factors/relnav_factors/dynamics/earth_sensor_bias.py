@@ -1,0 +1,28 @@
+"""The bias of an Earth sensor, which forgets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from relnav_factors.shared.gauss_markov import GaussMarkov
+from relnav_graph.core.state import Block
+from relnav_graph.units import Quantity
+
+EARTH_SENSOR_BIAS = Block("earth_sensor_bias", "b_e_s", "vector", 2, "rad", "s", "deg")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EarthSensorBias(GaussMarkov):
+    """b' = -b / T + white, of both angles of an Earth sensor, as in Yang et al. 2016.
+
+    sigma: rad, standard deviation of each angle in the long run; time_constant: T, s.
+    """
+
+    kind: ClassVar[str] = "earth_sensor_bias"
+
+    sigma: Annotated[float, Quantity("rad", positive=True)]
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        return (EARTH_SENSOR_BIAS,)

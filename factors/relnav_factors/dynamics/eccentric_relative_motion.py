@@ -1,0 +1,144 @@
+"""Relative motion about a target on a known orbit of any eccentricity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+
+from relnav_factors.shared.white_noise import add_step, duration, step_count
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import RELATIVE_POSITION, RELATIVE_VELOCITY
+from relnav_graph.core.contracts import Kernel
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense
+from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
+from relnav_graph.units import Quantity
+
+
+@jit
+def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Array]:
+    """r'' (3,) of the separation x = (r, r') in the rotating frame, and its Jacobian to
+    x, (3, 6): the exact difference of two two-body motions.
+
+    The difference of gravities in Battin's form (1999, eq. 8.61), which loses no digits
+    however small the separation. motion: see `relnav_graph.maths.orbit.chief_motion`.
+    """
+    radius, rate, rate_dot = motion[0], motion[3], motion[4]
+    rate2 = rate * rate
+    q = (x[0] * (x[0] + 2 * radius) + x[1] * x[1] + x[2] * x[2]) / (radius * radius)
+    stretch = q * (3 + 3 * q + q * q) / (1 + (1 + q) ** 1.5)
+    distance = radius * np.sqrt(1 + q)
+    pull = mu / distance**3
+    out, n, jacobian = np.empty(3), np.empty(3), np.zeros((3, 6))
+    for i in range(3):
+        out[i] = -pull * x[i]
+        n[i] = x[i] / distance
+    out[0] += pull * stretch * radius + 2 * rate * x[4] + rate_dot * x[1] + rate2 * x[0]
+    out[1] += -2 * rate * x[3] - rate_dot * x[0] + rate2 * x[1]
+    n[0] += radius / distance
+    for i in range(3):
+        for j in range(3):
+            jacobian[i, j] = 3 * pull * n[i] * n[j]
+        jacobian[i, i] -= pull
+    jacobian[0, 0] += rate2
+    jacobian[1, 1] += rate2
+    jacobian[0, 1] += rate_dot
+    jacobian[1, 0] -= rate_dot
+    jacobian[0, 4] = 2 * rate
+    jacobian[1, 3] = -2 * rate
+    return out, jacobian
+
+
+@jit
+def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
+    """x (6,) after one Runge-Kutta step of h seconds, and the step's own Jacobian."""
+    one = dense.identity(6)
+    at_x, at_d, end_x, end_d = x, one, x, one
+    k, dk = np.empty(6), np.empty((6, 6))
+    motion = chief_motion(orbit, t)
+    for stage in range(4):
+        if stage in (1, 3):
+            motion = chief_motion(orbit, t + h if stage == 3 else t + 0.5 * h)
+        a, da = relative_acceleration(motion, orbit[3], at_x)
+        chained = dense.matmul(da, at_d)
+        for i in range(3):
+            k[i], k[3 + i] = at_x[3 + i], a[i]
+            for j in range(6):
+                dk[i, j], dk[3 + i, j] = at_d[3 + i, j], chained[i, j]
+        weight = h / 6 if stage in (0, 3) else h / 3
+        end_x, end_d = (
+            dense.add_scaled_vector(end_x, k, weight),
+            dense.add_scaled(end_d, dk, weight),
+        )
+        ahead = h if stage == 2 else 0.5 * h
+        at_x, at_d = dense.add_scaled_vector(x, k, ahead), dense.add_scaled(one, dk, ahead)
+    return end_x, end_d
+
+
+@jit
+def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r_tc_o, r_tc_o'). Steps of at most p[5] seconds."""
+    length = duration(u)
+    steps = step_count(length, p[5])
+    h = length / steps
+    state, total, noise = x, dense.identity(6), np.zeros((6, 6))
+    for n in range(steps):
+        state, step = exact_step(p, t + n * h, h, state)
+        add_step(step, p[4] ** 2, h, total, noise)
+    dense.put_vector(x_next, 0, state)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
+    return 0
+
+
+@jit
+def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """The same under linear gravity; the steps are those of the noise."""
+    length = duration(u)
+    steps = step_count(length, p[5])
+    h = length / steps
+    total, noise = dense.identity(6), np.zeros((6, 6))
+    for n in range(steps):
+        step = relative_transition(p, t + n * h, t + (n + 1) * h)
+        add_step(step, p[4] ** 2, h, total, noise)
+    dense.put_vector(x_next, 0, dense.matvec(total, x))
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class EccentricRelativeMotion(DynamicsModel):
+    """Position and velocity of the chaser relative to the target, in the rotating frame.
+
+    gravity = "linear": Zhang et al. 2015, eq. 1, whose transition matrix is known in
+    closed form (`relnav_graph.maths.orbit.relative_transition`); it neglects 1.5 mu r^2 / R^4,
+    2.5e-8 m/s^2 at 300 m in low orbit. gravity = "exact": the difference of the two
+    two-body motions, of which the linear equations are the first order.
+
+    acceleration_density: m/s^1.5, white, per axis; max_step: s, the longest step of the
+    integration; relative_velocity is the derivative in the rotating frame.
+    """
+
+    kind: ClassVar[str] = "eccentric_relative_motion"
+    noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
+
+    acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    orbit: KeplerOrbit
+    gravity: Literal["exact", "linear"] = "exact"
+    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+
+    @property
+    def kernel(self) -> Kernel:  # type: ignore[override]
+        return exact_kernel if self.gravity == "exact" else linear_kernel
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        return RELATIVE_POSITION, RELATIVE_VELOCITY
+
+    def constants(self) -> Array:
+        return np.array([*orbit_array(self.orbit), self.acceleration_density, self.max_step])

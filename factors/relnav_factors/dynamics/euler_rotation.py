@@ -1,0 +1,185 @@
+"""Free rotation of the target: attitude, rate and inertia ratios."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+
+from relnav_factors.shared.inertia import coefficients_of, full_coefficients, principal_coefficients
+from relnav_factors.shared.rate_steps import published_step, rate_step, start_of
+from relnav_factors.shared.white_noise import add_step, duration, step_count
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import (
+    BODY_RATE,
+    INERTIA,
+    INERTIA_MATRIX,
+    TARGET_ATTITUDE,
+    TARGET_RATE,
+)
+from relnav_graph.core.contracts import Kernel
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.errors import InputError
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.inertia import check_inertia
+from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
+from relnav_graph.units import Quantity
+
+
+@jit
+def _rotate(
+    p: Array,
+    t: float,
+    u: Array,
+    x: Array,
+    A: Array,
+    dA: Array,
+    x_next: Array,
+    F: Array,
+    Q: Array,
+) -> None:
+    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds; p[7] != 0: Euler's."""
+    length = duration(u)
+    steps = step_count(length, p[6])
+    h = length / steps
+    n = x.shape[0] - 6  # of the tangent
+    R_ot, w, k = dense.matrix_at(x, 0), dense.vector_at(x, 9), x[12:]
+    total, noise, step = dense.identity(n), np.zeros((n, n)), dense.identity(n)
+    angle = np.empty(3)
+    for _ in range(steps):
+        before = start_of(w, n - 3)
+        if p[7] != 0.0:
+            after, turn = published_step(before, A, dA, h)
+        else:
+            after, turn = rate_step(before, A, dA, h)
+        for i in range(3):
+            w[i], angle[i] = after[i, 0], turn[i, 0]
+        ahead, bend = so3.exp(angle), so3.right_jacobian(angle)
+        dense.put_block(R_ot, 0, 0, dense.matmul(R_ot, ahead), 1.0)
+        for i in range(3):
+            for j in range(3):
+                step[i, j] = ahead[j, i]
+            for j in range(3, n):
+                step[3 + i, j] = after[i, j - 2]
+                step[i, j] = 0.0
+                for l in range(3):
+                    step[i, j] += bend[i, l] * turn[l, j - 2]
+        add_step(step, p[4] ** 2, h, total, noise)
+        for i in range(6, n):
+            noise[i, i] += p[5] ** 2 * h
+    R_next = dense.matmul(frame_rotation(p, t, t + length), R_ot)
+    dense.put_matrix(x_next, 0, so3.project(R_next))
+    dense.put_vector(x_next, 9, w)
+    dense.put_vector(x_next, 12, k)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
+
+
+@jit
+def principal_kernel(
+    p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array
+) -> int:
+    """Of a body about its principal axes, k (2,)."""
+    A, dA = principal_coefficients(x[12:])
+    _rotate(p, t, u, x, A, dA, x_next, F, Q)
+    return 0
+
+
+@jit
+def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """Of a body about any axes, k (5,)."""
+    A, dA = full_coefficients(x[12:])
+    _rotate(p, t, u, x, A, dA, x_next, F, Q)
+    return 0
+
+
+@jit
+def known_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """Of a body of known inertia, p[8:26] its A; there is no k."""
+    _rotate(p, t, u, x, p[8:26].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class EulerRotation(DynamicsModel):
+    """Attitude, rate and inertia of a free rigid target.
+
+    R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot; J w' = -w x J w + white (Zhang et al. 2015,
+    section 3; Hu et al. 2019, eq. 4). inertia = "principal": the target's axes are its
+    principal axes, and the ratios l = tanh(k) stand in the state as k
+    (`relnav_graph.core.catalogue.INERTIA`). inertia = "full": any axes, `catalogue.INERTIA_MATRIX`.
+    inertia = "known": known_inertia, J about the axes of t up to its scale, kg m^2.
+
+    torque_density: rad/s^1.5, angular acceleration per axis; inertia_density: 1/sqrt(s),
+    a small random walk that keeps the covariance regular; max_step: s, the longest step;
+    orbit: the target's, None where o does not rotate; integrator: "euler" is Hu's.
+    rate: "body_rate" where the axes of t are arbitrary, so that tables show the rate in
+    chaser axes instead (`relnav_factors.derived.relative_pose.TargetRateInChaser`).
+
+    Raises InputError on a known inertia that no body has, that is missing, or unused.
+    """
+
+    kind: ClassVar[str] = "euler_rotation"
+
+    torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
+    inertia_density: Annotated[float, Quantity("1/sqrt(s)", positive=True)] = 1e-8
+    max_step: Annotated[float, Quantity("s", positive=True)] = 1.0
+    orbit: KeplerOrbit | None = None
+    inertia: Literal["principal", "full", "known"] = "principal"
+    known_inertia: Annotated[Array, Quantity("kg*m^2", (3, 3))] | None = None
+    integrator: Literal["runge_kutta", "euler"] = "runge_kutta"
+    rate: Literal["target_rate", "body_rate"] = "target_rate"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        J = self.known_inertia
+        if (J is not None) != (self.inertia == "known"):
+            raise InputError(f"{self.kind}: known_inertia goes with inertia = 'known', and only so")
+        if J is not None:
+            check_inertia(f"{self.kind}.known_inertia", J)
+
+    @property
+    def kernel(self) -> Kernel:  # type: ignore[override]
+        kernels = {"principal": principal_kernel, "full": full_kernel, "known": known_kernel}
+        return kernels[self.inertia]
+
+    @property
+    def noises(self) -> tuple[str, ...]:  # type: ignore[override]
+        names = "torque_density", "torque_density", "inertia_density"
+        return names[: len(self.advances)]
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        rate = TARGET_RATE if self.rate == "target_rate" else BODY_RATE
+        inertia = {"principal": (INERTIA,), "full": (INERTIA_MATRIX,), "known": ()}
+        return TARGET_ATTITUDE, rate, *inertia[self.inertia]
+
+    def caution(self, length: float, *x: Array) -> str:
+        """Half a turn or more between epochs looks like the rest of a turn backwards."""
+        turn = float(np.linalg.norm(x[1])) * length
+        if turn < 0.98 * np.pi:
+            return ""
+        return f"the target turns {np.degrees(turn):.0f} deg in {length:g} s: aliased from 180 deg"
+
+    def constants(self) -> Array:
+        own = [self.torque_density, self.inertia_density, self.max_step]
+        own.append(float(self.integrator == "euler"))
+        known = np.zeros(0) if self.known_inertia is None else coefficients_of(self.known_inertia)
+        return np.concatenate([orbit_array(self.orbit), own, known.ravel()])
+
+    def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
+        """What a steady spin hides: the phase, and the inertia ratios."""
+        w, none = x[1][:, None], np.zeros((3, 1))
+        spin = w / max(float(np.linalg.norm(w)), 1e-12)
+        ratios = np.eye(sum(b.dim for b in self.advances[2:]))
+        rest = (0 * ratios[:, :1],) if len(ratios) else ()
+        found = {
+            "rotation of the target about its spin axis": (spin, none, *rest),
+            "rate of the target along its spin axis": (none, spin, *rest),
+        }
+        for n, ratio in enumerate(ratios, 1):
+            found[f"inertia ratio k{n}"] = (none, none, ratio[:, None])
+        return found

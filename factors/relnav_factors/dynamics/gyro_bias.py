@@ -1,0 +1,106 @@
+"""Attitude propagated by a gyro, jointly with the random walk of the gyro's bias."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+
+from relnav_factors.shared.gauss_markov import walk_and_integral
+from relnav_factors.shared.strapdown import GYRO_COLUMNS, LARGEST_TURN, condense
+from relnav_factors.shared.white_noise import carry, duration
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
+from relnav_graph.units import Quantity
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (R_oc, b). Each row of u (dt, gyro mean) turns the attitude by (gyro - b) dt.
+
+    Attitude and bias noise are correlated: the bias walks while the attitude turns. p[10]: T, s,
+    after which the bias forgets.
+    """
+    R_oc, b = dense.matrix_at(x, 0), dense.vector_at(x, 9)
+    total, noise, step = dense.identity(6), np.zeros((6, 6)), dense.identity(6)
+    turn = np.empty(3)
+    for row in range(u.shape[0]):
+        dt = u[row, 0]
+        kept, counts, own, of_integral = walk_and_integral(dt, p[10])
+        joint = counts * counts / 2
+        for i in range(3):
+            turn[i] = u[row, 1 + i] * dt - b[i] * counts
+        ahead = so3.exp(turn)
+        dense.put_block(R_oc, 0, 0, dense.matmul(R_oc, ahead), 1.0)
+        for i in range(3):
+            for j in range(3):
+                step[i, j] = ahead[j, i]
+            step[3 + i, 3 + i] = kept
+            b[i] *= kept
+        dense.put_block(step, 0, 3, so3.right_jacobian(turn), -counts)
+        carry(step, total, noise)
+        for i in range(3):
+            v, w = p[4 + i], p[7 + i]
+            noise[i, i] += v * v * dt + w * w * of_integral
+            noise[i, 3 + i] -= w * w * joint
+            noise[3 + i, i] -= w * w * joint
+            noise[3 + i, 3 + i] += w * w * own
+    R_next = dense.matmul(frame_rotation(p, t, t + duration(u)), R_oc)
+    dense.put_matrix(x_next, 0, so3.project(R_next))
+    dense.put_vector(x_next, 9, b)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GyroBias(DynamicsModel):
+    """Chaser attitude and gyro bias, driven by a rate-integrating gyro.
+
+    R_oc' = R_oc [w_ci_c x] - [w_oi_o x] R_oc, w_ci_c = gyro - b - white, b' = white.
+    Source: Farrenkopf 1978; Crassidis and Junkins 2011, section 7.2; exact for a rate
+    that is constant over each gyro sample.
+
+    angle_random_walk_density: rad/sqrt(s), bias_random_walk_density: rad/s^1.5, one for
+    all axes of c or one each; bias_time_constant: s, of a bias that forgets, b' = -b / T +
+    white; orbit: the target's, None where o does not rotate.
+    attitude: which block turns with the chaser: R_oc, or R_tc of a target at rest in o.
+    samples: "together" for a fast gyro: those of an interval as one or a few rows.
+    """
+
+    kind: ClassVar[str] = "gyro_bias"
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {"gyro": GYRO_COLUMNS}
+    noises: ClassVar[tuple[str, ...]] = ("angle_random_walk_density", "bias_random_walk_density")
+    kernel = staticmethod(kernel)
+
+    angle_random_walk_density: Annotated[
+        Array, Quantity("rad/sqrt(s)", (3,), positive=True, fill=True)
+    ]
+    bias_random_walk_density: Annotated[
+        Array, Quantity("rad/s^1.5", (3,), positive=True, fill=True)
+    ]
+    orbit: KeplerOrbit | None = None
+    attitude: Literal["chaser_attitude", "relative_attitude"] = "chaser_attitude"
+    bias_time_constant: Annotated[float | None, Quantity("s", positive=True)] = None
+    samples: Literal["each", "together"] = "each"
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        chaser = self.attitude == "chaser_attitude"
+        return (CHASER_ATTITUDE if chaser else RELATIVE_ATTITUDE), GYRO_BIAS
+
+    def constants(self) -> Array:
+        densities = self.angle_random_walk_density, self.bias_random_walk_density
+        T = self.bias_time_constant
+        return np.concatenate([orbit_array(self.orbit), *densities, [np.inf if T is None else T]])
+
+    def condense(self, u: Array) -> Array:
+        """The samples of an interval, one by one or taken together."""
+        return condense(u, LARGEST_TURN) if self.samples == "together" else u

@@ -1,0 +1,60 @@
+"""Orbit of the chaser itself, in an inertial frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from relnav_factors.shared.gravity import FIELD, Degree, coast, earth_field
+from relnav_factors.shared.white_noise import duration
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_POSITION, CHASER_VELOCITY
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense
+from relnav_graph.units import Quantity
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r_c_i, v_c_i). p: field, position and acceleration density, longest step."""
+    S, nothing = dense.identity(6), np.zeros((6, 6))
+    walk, white, longest = p[FIELD], p[FIELD + 1], p[FIELD + 2]
+    y, total, noise = coast(p, x, S, nothing, duration(u), longest, walk, white)
+    dense.put_vector(x_next, 0, y)
+    dense.put_block(F, 0, 0, total, 1.0)
+    dense.put_block(Q, 0, 0, noise, 1.0)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbitTwoBody(DynamicsModel):
+    """Position and velocity of the chaser, r'' = g(r) + white, in the inertial frame.
+
+    Xiong et al. 2013, eq. 13: a point mass; with zonal harmonics on request.
+
+    acceleration_density: m/s^1.5, white, per axis; position_density: m/sqrt(s), a random
+    walk of the position beside it (the paper's w_2, eq. 14, drives both); degree: of the
+    highest zonal harmonic of the Earth, 0 or 2 to 4; max_step: s, the longest Runge-Kutta
+    step.
+    """
+
+    kind: ClassVar[str] = "orbit_two_body"
+    noises: ClassVar[tuple[str, ...]] = ("position_density", "acceleration_density")
+    kernel = staticmethod(kernel)
+
+    acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    position_density: Annotated[float, Quantity("m/sqrt(s)", nonnegative=True)] = 0.0
+    degree: Degree = 0
+    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        return CHASER_POSITION, CHASER_VELOCITY
+
+    def constants(self) -> Array:
+        own = [self.position_density, self.acceleration_density, self.max_step]
+        return np.concatenate([earth_field(self.degree), own])

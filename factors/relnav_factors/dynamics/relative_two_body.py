@@ -1,0 +1,70 @@
+"""Relative motion of two craft of which one has its own orbit in the state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from relnav_factors.shared.gravity import FIELD, Degree, coast, earth_field
+from relnav_factors.shared.white_noise import duration
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import (
+    CHASER_POSITION,
+    CHASER_VELOCITY,
+    RELATIVE_POSITION,
+    RELATIVE_VELOCITY,
+)
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense
+from relnav_graph.units import Quantity
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x = (r_tc_i, v_tc_i, r_c_i, v_c_i). p: field, acceleration density, longest step."""
+    S, nothing = dense.identity(12), np.zeros((6, 6))
+    y, total, noise = coast(p, x, S, nothing, duration(u), p[FIELD + 1], 0.0, p[FIELD])
+    for i in range(6):
+        x_next[i] = y[i]
+        for j in range(12):
+            F[i, j] = total[i, j]
+    dense.put_block(Q, 0, 0, noise, 1.0)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelativeTwoBody(DynamicsModel):
+    """r_tc'' = g(r_c) - g(r_c - r_tc) + white, in axes that do not rotate: o is i.
+
+    The exact difference of two gravities, where Xiong et al. 2013, eq. 12, have its first
+    order, in an orbital frame taken from the chaser's orbit (6 mm at 200 m). The chaser's
+    orbit stands in the state: see `OrbitTwoBody`.
+
+    acceleration_density: m/s^1.5, white, per axis, of the relative motion; degree: of the
+    highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step.
+    """
+
+    kind: ClassVar[str] = "relative_two_body"
+    noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
+    kernel = staticmethod(kernel)
+
+    acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    degree: Degree = 0
+    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+
+    @property
+    def advances(self) -> tuple[Block, ...]:
+        return RELATIVE_POSITION, RELATIVE_VELOCITY
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return CHASER_POSITION, CHASER_VELOCITY
+
+    def constants(self) -> Array:
+        return np.concatenate(
+            [earth_field(self.degree), [self.acceleration_density, self.max_step]]
+        )

@@ -1,0 +1,81 @@
+"""Unit vectors from a sensor on the chaser to beacons at known places on the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from relnav_factors.shared.points import PointSensor, point_in_sensor
+from relnav_factors.shared.sphere import OPPOSITE, direction, sphere_residual, turned
+from relnav_graph.arrays import Array, Indices
+from relnav_graph.compiled import jit
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.errors import InputError
+from relnav_graph.units import Quantity
+
+
+@jit(from_python=True)
+def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Array]:
+    """Unit vector (3,) to a beacon in sensor axes, and its Jacobian to the pose."""
+    p, jacobian = point_in_sensor(mounting, beacon_t, x)
+    b, _ = direction(p, jacobian)
+    return b, jacobian
+
+
+@jit
+def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    """r (2,): the rotation, in rad, from measured to predicted line of sight, resolved
+    across the measured one."""
+    b, db = line_of_sight(p, q, x)
+    return sphere_residual(z, b, db, 0, r, H)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeaconLineOfSight(PointSensor):
+    """Lines of sight to beacons (VISNAV).
+
+    b = R_cs^T (R_oc^T (R_ot X - r_tc_o) - r_sc_c), normalised; z is the measured b.
+    After Kim et al. 2007 (Journal of Guidance 30-5), eq. 6, and Zhang et al. 2015.
+
+    points: the beacons; sigma: rad, about each of the two axes across the line.
+    """
+
+    kind: ClassVar[str] = "beacon_los"
+    columns: ClassVar[tuple[str, ...]] = ("los_x", "los_y", "los_z")
+    rows: ClassVar[int] = 2
+    kernel = staticmethod(kernel)
+    failures = {OPPOSITE: "the beacon is seen opposite to where it should be"}
+
+    sigma: Annotated[float, Quantity("rad", positive=True)]
+
+    def accept(self, z: Array) -> Array:
+        """Unit vectors (k, 3). Raises InputError when one is not, within 1e-3."""
+        lengths = np.linalg.norm(super().accept(z), axis=1, keepdims=True)
+        if (np.abs(lengths - 1) > 1e-3).any():
+            worst = z[np.abs(lengths - 1).argmax()]
+            raise InputError(f"{self.kind}: found {worst}, expected a unit vector")
+        return z / lengths  # type: ignore[no-any-return]
+
+    def predict(self, ids: Indices, *x: Array) -> Array:
+        """Unit vectors (k, 3) in sensor axes."""
+        p, packed = self.constants(), np.concatenate([np.ravel(value) for value in x])
+        return np.array([line_of_sight(p, q, packed)[0] for q in self.observation_data(ids)])
+
+    def perturb(self, z: Array, e: Array) -> Array:
+        """Turn each line by the rotation e (k, 2), rad, across it."""
+        return turned(np.ascontiguousarray(z), np.ascontiguousarray(e))
+
+    def centre(self, ids: Indices, z: Array) -> Array:
+        """As far away as makes the points' spread look as large as it does."""
+        middle = z.mean(axis=0)
+        spread = np.sqrt(((z - middle) ** 2).sum(axis=1).mean())
+        size = np.sqrt(((self.points[ids] - self.points[ids].mean(axis=0)) ** 2).sum(axis=1).mean())
+        distance = 10 * float(np.abs(self.points).max())  # of one beacon: no more than a guess
+        if spread > 0:
+            distance = np.sqrt(2 / 3) * size / spread  # seen from a side, on average
+        return np.asarray(distance * middle / np.linalg.norm(middle))
+
+    def noise(self, m: Measurement) -> Array:
+        return np.tile(self.sigma**2 * np.eye(2), (len(m.z), 1, 1))

@@ -1,0 +1,101 @@
+"""An infrared Earth sensor on the chaser: where the middle of the Earth's disc is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from relnav_factors.dynamics.earth_sensor_bias import EARTH_SENSOR_BIAS
+from relnav_factors.shared.mounting import MountedSensor
+from relnav_graph.arrays import Array, Indices
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Block
+from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.maths import dense, so3
+from relnav_graph.units import Quantity
+
+_BEHIND = "the Earth is behind the sensor"
+
+
+@jit
+def earth_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
+    """Place (3,) of the Earth's centre in sensor axes, and its Jacobian (3, 6) to
+    x = (R_ic, r_c_i)."""
+    R_ic, down_i = dense.matrix_at(x, 0), dense.vector_at(x, 9)
+    for i in range(3):
+        down_i[i] = -down_i[i]
+    down_c = dense.transposed_matvec(R_ic, down_i)
+    R_is, jacobian = dense.matmul(R_ic, R_cs), np.empty((3, 6))
+    dense.put_block(jacobian, 0, 0, dense.transposed_matmul(R_cs, so3.skew(down_c)), 1.0)
+    dense.put_block(jacobian, 0, 3, dense.transposed_matmul(R_is, dense.identity(3)), -1.0)
+    return dense.transposed_matvec(R_cs, down_c), jacobian
+
+
+@jit
+def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    """r (2,): roll and pitch, rad. x = (R_ic, r_c_i, bias); p: R_cs row by row."""
+    e, de = earth_in_sensor(dense.matrix_at(p, 0), x)
+    if e[2] <= 0.0:
+        return 1
+    for i in range(2):
+        side = e[1] if i == 0 else e[0]
+        square = side * side + e[2] * e[2]
+        r[i] = np.arctan2(side, e[2]) + x[12 + i] - z[i]
+        for j in range(6):
+            d_side = de[1, j] if i == 0 else de[0, j]
+            H[i, j] = (e[2] * d_side - side * de[2, j]) / square
+        H[i, 6] = 1.0 if i == 0 else 0.0
+        H[i, 7] = 1.0 if i == 1 else 0.0
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class EarthSensor(MountedSensor):
+    """Direction of the Earth's centre, e = R_cs^T R_ic^T (-r_c): roll and pitch, with a bias.
+
+    Roll atan2(e_y, e_z), pitch atan2(e_x, e_z), about the sensor's axis z, which looks at the
+    Earth; each has a bias of its own (`EarthSensorBias`). As used by Yang et al. 2016; the
+    Earth is a sphere. o must not rotate: it is i.
+
+    sigma: rad, white, of each angle; sensor_attitude: R_cs. Raises InputError when it is not
+    a rotation within 1e-6.
+    """
+
+    kind: ClassVar[str] = "earth_sensor"
+    columns: ClassVar[tuple[str, ...]] = ("roll_rad", "pitch_rad")
+    rows: ClassVar[int] = 2
+    kernel = staticmethod(kernel)
+    failures = {1: _BEHIND}
+
+    sigma: Annotated[float, Quantity("rad", positive=True)]
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return CHASER_ATTITUDE, CHASER_POSITION, EARTH_SENSOR_BIAS
+
+    def accept(self, z: Array) -> Array:
+        """z (k, 2). Raises InputError on angles that are none in rad."""
+        z = super().accept(z)
+        bad = np.abs(z) > 0.5 * np.pi + 0.1
+        if bad.any():
+            raise InputError(
+                f"{self.kind}: found {z[bad][0]}, expected an angle below pi / 2 rad (deg given"
+                " for rad?)"
+            )
+        return z
+
+    def predict(self, ids: Indices, *x: Array) -> Array:
+        """Roll and pitch (k, 2), rad. Raises GeometryError when the Earth is behind."""
+        packed = np.concatenate([np.ravel(value) for value in x[:2]])
+        e, _ = earth_in_sensor(np.ascontiguousarray(self.sensor_attitude), packed)
+        if e[2] <= 0:
+            raise GeometryError(f"{self.kind}: {_BEHIND}")
+        angles = np.arctan2([e[1], e[0]], e[2]) + x[2]
+        return np.tile(angles, (len(ids), 1))
+
+    def noise(self, m: Measurement) -> Array:
+        return np.tile(self.sigma**2 * np.eye(2), (len(m.z), 1, 1))

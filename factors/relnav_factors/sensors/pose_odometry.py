@@ -1,0 +1,124 @@
+"""How the chaser has moved, as seen from the target, since an earlier epoch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from relnav_factors.dynamics.previous_pose import previous_blocks
+from relnav_factors.sensors.attitude_odometry import turn_between
+from relnav_factors.shared.attitude import QUATERNION, attitude_residual, turned, unit_quaternions
+from relnav_factors.shared.mounting import MountedSensor
+from relnav_factors.shared.points import Pose, point_in_sensor, pose_blocks
+from relnav_graph.arrays import Array, Indices
+from relnav_graph.compiled import jit
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense, so3
+from relnav_graph.units import Quantity
+
+
+@jit
+def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
+    """R_s-s, where the scene's centre lies in the sensor axes of before (3,), and their
+    Jacobians to the poses of before and of now. p: mounting (12,), centre (3,)."""
+    mounting, nowhere, half = p[:12], np.zeros(3), x.shape[0] // 2
+    before, to_before = point_in_sensor(mounting, nowhere, x[:half])
+    now, to_now = point_in_sensor(mounting, nowhere, x[half:])
+    n = to_now.shape[1]
+    turn, slopes = turn_between(dense.matrix_at(p, 0), x[: half - 3], x[half:-3])
+    to_turn = np.zeros((3, 2 * n))
+    for i in range(3):
+        for j in range(n - 3):
+            to_turn[i, j], to_turn[i, n + j] = slopes[i, j], slopes[i, n - 3 + j]
+    line = dense.add_scaled_vector(
+        dense.vector_at(p, 12), now, -1.0
+    )  # from the target to the centre
+    place = dense.add_scaled_vector(before, dense.matvec(turn, line), 1.0)
+    to_place = dense.matmul(dense.matmul(turn, so3.skew(line)), to_turn)
+    turned_now = dense.matmul(turn, to_now)
+    for i in range(3):
+        for j in range(n):
+            to_place[i, j] = to_before[i, j] - to_place[i, j]
+            to_place[i, n + j] = -turned_now[i, j] - to_place[i, n + j]
+    return turn, place, to_turn, to_place
+
+
+@jit
+def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    """r (6,): where the scene's centre was, predicted minus measured, m; then
+    Log(R_measured^T R_s-s), rad. x: the pose of before, then that of now."""
+    turn, place, to_turn, to_place = pose_between(p, x)
+    R_measured, angles = so3.from_quaternion(z[3:]), np.empty(3)
+    slope = attitude_residual(z[3:], turn, angles)
+    measured = dense.add_scaled_vector(dense.matvec(R_measured, dense.vector_at(p, 12)), z[:3], 1.0)
+    dense.put_vector(r, 0, dense.add_scaled_vector(place, measured, -1.0))
+    dense.put_vector(r, 3, angles)
+    dense.put_block(H, 0, 0, to_place, 1.0)
+    dense.put_block(H, 3, 0, dense.matmul(slope, to_turn), 1.0)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseOdometry(MountedSensor):
+    """Motion of the sensor relative to the target between two epochs: T_s-s.
+
+    z = (r, q_wxyz): r = R_cs^T R_tc-^T (p - p-) with p = r_tc_t + R_tc r_sc_c, the present
+    place of the sensor in its axes of before, and R_s-s = R_cs^T R_tc-^T R_tc R_cs. As the
+    point-cloud odometry of Setterfield et al. 2018, without its loop closures. The earlier
+    pose comes from `PreviousPose`.
+
+    A cloud of points is aligned about its own centre, so errors of the turn move the sensor
+    as if it swung about the scene. scene_centre: that centre in sensor axes, m; zero makes
+    the errors of r and of the turn independent. position_sigma: m, of where the centre was,
+    attitude_sigma: rad, of the turn, about the present sensor axes; one for all or one each.
+    sensor_attitude: R_cs; sensor_position: r_sc_c, m. pose: how the poses stand in the
+    state. Raises InputError when R_cs is not a rotation within 1e-6.
+    """
+
+    kind: ClassVar[str] = "pose_odometry"
+    columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m", *QUATERNION)
+    rows: ClassVar[int] = 6
+    kernel = staticmethod(kernel)
+
+    position_sigma: Annotated[Array, Quantity("m", (3,), positive=True, fill=True)]
+    attitude_sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
+    scene_centre: Annotated[Array, Quantity("m", (3,))] = field(default_factory=lambda: np.zeros(3))
+    sensor_position: Annotated[Array, Quantity("m", (3,))] = field(
+        default_factory=lambda: np.zeros(3)
+    )
+    pose: Pose = "orbital"
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return *previous_blocks(self.pose), *pose_blocks(self.pose)
+
+    def constants(self) -> Array:
+        return np.concatenate([super().constants(), self.sensor_position, self.scene_centre])
+
+    def accept(self, z: Array) -> Array:
+        """r and unit quaternions (k, 7). Raises InputError when one is not, within 1e-3."""
+        z = super().accept(z)
+        return np.hstack([z[:, :3], unit_quaternions(self.kind, z[:, 3:])])
+
+    def predict(self, ids: Indices, *x: Array) -> Array:
+        """r and q_wxyz (k, 7), w >= 0."""
+        packed = np.concatenate([np.ravel(value) for value in x])
+        turn, place, _, _ = pose_between(self.constants(), packed)
+        one = np.concatenate([place - turn @ self.scene_centre, so3.quaternion(turn)])
+        return np.tile(one, (len(ids), 1))
+
+    def perturb(self, z: Array, e: Array) -> Array:
+        """Move the scene's centre by e[:, :3], m, and turn about it by e[:, 3:], rad."""
+        q_wxyz = turned(z[:, 3:], e[:, 3:])
+        out = np.hstack([z[:, :3] + e[:, :3], q_wxyz])
+        for row, before, after in zip(out, np.ascontiguousarray(z[:, 3:]), q_wxyz, strict=True):
+            swing = so3.from_quaternion(before) - so3.from_quaternion(after)
+            row[:3] += swing @ self.scene_centre
+        return out
+
+    def noise(self, m: Measurement) -> Array:
+        sigma = np.concatenate([self.position_sigma, self.attitude_sigma])
+        return np.tile(np.diag(sigma**2), (len(m.z), 1, 1))

@@ -1,0 +1,68 @@
+"""A star tracker on the chaser: its attitude among the stars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from relnav_factors.shared.attitude import AttitudeSensor, attitude_residual
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE
+from relnav_graph.core.state import Block
+from relnav_graph.errors import InputError
+from relnav_graph.maths import dense
+from relnav_graph.maths.orbit import KeplerOrbit
+
+
+@jit
+def inertial_attitude(p: Array, x: Array) -> Array:
+    """R_is = R_ic R_cs, (3, 3)."""
+    return dense.matmul(dense.matrix_at(x, 0), dense.matrix_at(p, 0))
+
+
+@jit
+def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
+    """r (3,): Log(R_measured^T R_is), in sensor axes; x = R_ic."""
+    jacobian = attitude_residual(z, inertial_attitude(p, x), r)
+    for i in range(3):
+        for j in range(3):
+            H[i, j] = 0.0
+            for k in range(3):  # a turn d of c is R_cs^T d of s
+                H[i, j] += jacobian[i, k] * p[3 * j + k]
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarTracker(AttitudeSensor):
+    """Attitude of the sensor in the inertial frame, z = R_ic R_cs as q_wxyz.
+
+    The measurement of Xiong et al. 2013, eq. 26, with the residual on SO(3): the Jacobian
+    of identity that the paper prints holds only for the error q_hat^-1 x q_measured.
+
+    o must not rotate (there it is i). orbit: taken only to be refused, because a scenario
+    with an [orbit] has an o that does; raises InputError then.
+    """
+
+    kind: ClassVar[str] = "star_tracker"
+    kernel = staticmethod(kernel)
+
+    orbit: KeplerOrbit | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.orbit is not None:
+            raise InputError(
+                "star_tracker: found an [orbit], with which o rotates; a star tracker needs"
+                " attitudes in a frame that does not rotate"
+            )
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return (CHASER_ATTITUDE,)
+
+    def attitude(self, *x: Array) -> Array:
+        """R_is (3, 3)."""
+        return inertial_attitude(self.constants(), np.ravel(x[0]))

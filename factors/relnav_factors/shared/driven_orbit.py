@@ -1,0 +1,102 @@
+"""Orbits under gravity and a measured specific force, in inertial axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from relnav_factors.dynamics.accelerometer_bias import Navigation, bias_block
+from relnav_factors.shared.gravity import FIELD, Degree, coast, earth_field
+from relnav_factors.shared.strapdown import (
+    LARGEST_TURN,
+    STRAPDOWN_INPUTS,
+    condense,
+    velocity_gained,
+)
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.core.state import Block
+from relnav_graph.maths import dense, so3
+from relnav_graph.units import Quantity
+
+# Columns of the sensitivities after those of the orbits: R_ic, gyro bias, accelerometer bias.
+ATTITUDE, GYRO, FORCE, OTHERS = 0, 3, 6, 9
+
+
+@jit
+def drive(
+    p: Array, u: Array, y: Array, R_ic: Array, b_g: Array, b_f: Array
+) -> tuple[Array, Array, Array]:
+    """y after an interval, its sensitivity to y, R_ic, b_g and b_f, (n, n + 9), and the
+    covariance (6, 6) of the noise of its first six.
+
+    y: (r_c, v_c) or (r_tc, v_tc, r_c, v_c), m and m/s; p: field, density of the velocity's
+    random walk, longest step; u: rows (dt, w, f). In each row gravity acts first, then the
+    measured force, as a velocity and half of it, times dt, as a displacement: what is left
+    out is how gravity changes over that displacement.
+    """
+    n = y.shape[0]
+    S, Q = np.zeros((n, n + OTHERS)), np.zeros((6, 6))
+    for i in range(n):
+        S[i, i] = 1.0
+    to_R, to_g = dense.identity(3), np.zeros((3, 3))
+    turn, kick = np.empty(3), np.empty((3, 9))
+    for row in range(u.shape[0]):
+        dt = u[row, 0]
+        y, S, Q = coast(p, y, S, Q, dt, p[FIELD + 1], 0.0, p[FIELD])
+        dv, by_R, by_g, by_f, R_ic = velocity_gained(R_ic, u[row], b_g, b_f)
+        dense.put_block(kick, 0, ATTITUDE, dense.matmul(by_R, to_R), 1.0)
+        dense.put_block(kick, 0, GYRO, dense.add_scaled(by_g, dense.matmul(by_R, to_g), 1.0), 1.0)
+        dense.put_block(kick, 0, FORCE, by_f, 1.0)
+        for first in range(0, n, 6):
+            for i in range(3):
+                y[first + i] += 0.5 * dt * dv[i]
+                y[first + 3 + i] += dv[i]
+                for j in range(9):
+                    S[first + i, n + j] += 0.5 * dt * kick[i, j]
+                    S[first + 3 + i, n + j] += kick[i, j]
+        for i in range(3):
+            turn[i] = (u[row, 1 + i] - b_g[i]) * dt
+        back = dense.transposed_matmul(so3.exp(turn), dense.identity(3))
+        to_R = dense.matmul(back, to_R)
+        to_g = dense.add_scaled(dense.matmul(back, to_g), so3.right_jacobian(turn), -dt)
+    return y, S, Q
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrivenOrbit(DynamicsModel):
+    """What the orbits share whose own acceleration an accelerometer measures.
+
+    Samples are taken together, so that an epoch costs the same at any rate of the
+    accelerometer.
+
+    velocity_random_walk_density: m/s^1.5, white noise of the accelerometer, per axis; degree:
+    of the highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step;
+    navigation: which estimate of the accelerometer's bias it takes.
+    """
+
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]] = STRAPDOWN_INPUTS
+    noises: ClassVar[tuple[str, ...]] = ("velocity_random_walk_density",) * 2
+
+    velocity_random_walk_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
+    degree: Degree
+    max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+    navigation: Navigation
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        """In the order of `drive`."""
+        return CHASER_ATTITUDE, GYRO_BIAS, bias_block(self.navigation)
+
+    def constants(self) -> Array:
+        own = [self.velocity_random_walk_density, self.max_step]
+        return np.concatenate([earth_field(self.degree), own])
+
+    def condense(self, u: Array) -> Array:
+        """The samples of an interval as one row, or a few where the chaser turns fast."""
+        return condense(u, LARGEST_TURN)

@@ -1,0 +1,70 @@
+"""First-order Gauss-Markov processes: biases that wander and forget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from relnav_factors.shared.white_noise import duration
+from relnav_graph.arrays import Array
+from relnav_graph.compiled import jit
+from relnav_graph.core.models import DynamicsModel
+from relnav_graph.units import Quantity
+
+
+@jit
+def decay(length: float, time_constant: float, sigma: float) -> tuple[float, float]:
+    """Factor exp(-h / T) of a bias over h seconds, and the variance that it gains."""
+    kept = np.exp(-length / time_constant)
+    return kept, -sigma * sigma * np.expm1(-2 * length / time_constant)
+
+
+@jit
+def walk_and_integral(length: float, time_constant: float) -> tuple[float, float, float, float]:
+    """Of b' = -b / T + unit white noise over h seconds: what b keeps; the time for which its
+    first value counts in its integral; the variances of b and of the integral. The
+    covariance of both is half the square of that time. T = inf: a random walk.
+    """
+    a = length / time_constant
+    kept = np.exp(-a)
+    if a < 0.05:  # the closed forms lose their digits; the series are good to 1e-7
+        counts = length * (1 - a / 2 * (1 - a / 3 * (1 - a / 4 * (1 - a / 5))))
+        own = length * (1 - a * (1 - 2 * a / 3 * (1 - a / 2 * (1 - 2 * a / 5))))
+        of_integral = length**3 * (1 / 3.0 - a / 4 + 7 * a**2 / 60 - a**3 / 24 + 31 * a**4 / 2520)
+        return kept, counts, own, of_integral
+    T, once, twice = time_constant, -np.expm1(-a), -np.expm1(-2 * a)
+    return kept, T * once, T * twice / 2, T**3 * (a - 2 * once + twice / 2)
+
+
+@jit
+def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
+    """x: the bias, of any dimension. p: time constant, sigma."""
+    kept, gained = decay(duration(u), p[0], p[1])
+    for i in range(x.shape[0]):
+        x_next[i] = kept * x[i]
+        for j in range(x.shape[0]):
+            F[i, j] = kept if i == j else 0.0
+            Q[i, j] = gained if i == j else 0.0
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussMarkov(DynamicsModel):
+    """b' = -b / T + white, of standard deviation sigma once it has forgotten its start.
+
+    Exact over any interval: b(t + h) = exp(-h / T) b(t) + noise of variance sigma^2
+    (1 - exp(-2 h / T)) (Gelb 1974, example 3.8-1).
+
+    time_constant: T, s.
+    """
+
+    noises: ClassVar[tuple[str, ...]] = ("sigma",)
+    kernel = staticmethod(kernel)
+
+    sigma: float  # each kind has a unit of its own
+    time_constant: Annotated[float, Quantity("s", positive=True)]
+
+    def constants(self) -> Array:
+        return np.array([self.time_constant, self.sigma])
