@@ -17,7 +17,7 @@ from typing import Any
 
 from relnav_graph.errors import ModelError
 
-__all__ = ["classes", "find_class"]
+__all__ = ["classes", "find_class", "provides"]
 
 
 _LOG = logging.getLogger(__name__)
@@ -102,3 +102,10 @@ def find_class(group: str, kind: str) -> type[Any]:
     if kind not in known:
         raise ModelError(f"found kind {kind!r}, expected one of: {', '.join(known)}")
     return known[kind]
+
+
+def provides(cls: type[Any], contract: type[Any]) -> bool:
+    """Whether a class has all that a Protocol names. (`issubclass` refuses Protocols with
+    attributes.)"""
+    named = {*vars(contract), *getattr(contract, "__annotations__", {})}
+    return all(hasattr(cls, name) for name in named if not name.startswith("_"))

@@ -11,7 +11,7 @@ from scipy.linalg import cholesky_banded
 
 from relnav_graph.arrays import Array
 from relnav_graph.estimators.batch import Batch, solve
-from relnav_graph.estimators.ekf import KalmanFilter
+from relnav_graph.estimators.ekf import run_filter
 from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of, linearize
@@ -58,7 +58,7 @@ def over_ekf(p: Pass) -> float:
     smoother = Batch()
 
     def filtered() -> object:
-        return KalmanFilter(p.problem, 1).run(Assembly.of(p.problem), keep=False)
+        return run_filter(p.problem, 1, Assembly.of(p.problem), keep=False)
 
     return ratio(filtered, lambda: smoother.run(p.problem))
 

@@ -9,9 +9,10 @@ import click
 
 from relnav_graph import estimators
 from relnav_graph.core import models
+from relnav_graph.core.contracts import Derived, Dynamics, Sensor
 from relnav_graph.errors import InputError
 from relnav_graph.io.readers import READERS
-from relnav_graph.registry import classes
+from relnav_graph.registry import classes, provides
 from relnav_graph.scenario.toml import read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 
@@ -33,12 +34,12 @@ def _section(title: str, rows: dict[str, str]) -> None:
 def command(folder: Path) -> None:
     """List models, estimators, truths, readers, and the scenarios in FOLDER."""
     found = classes(models.ENTRY_POINTS)
-    for title, mark in (
-        ("Sensors", "observables"),
-        ("Dynamics", "advances"),
-        ("Derived quantities", "block"),
+    for title, contract in (
+        ("Sensors", Sensor),
+        ("Dynamics", Dynamics),
+        ("Derived quantities", Derived),
     ):
-        _section(title, {k: _first_line(c) for k, c in found.items() if hasattr(c, mark)})
+        _section(title, {k: _first_line(c) for k, c in found.items() if provides(c, contract)})
     for title, group in (("Estimators", estimators.GROUP), ("Truth and inputs", TRUTHS)):
         _section(title, {k: _first_line(c) for k, c in classes(group).items()})
     _section("Readers of recorded data", dict.fromkeys(READERS, ""))

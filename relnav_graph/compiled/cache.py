@@ -3,7 +3,7 @@
 numba's own disk cache looks only at the file of the cached function: a change in a
 callee, or in a constant, that lives in another file goes unseen. Here the cache folder
 bears a digest of the sources that the code may depend on: this package's lower floors and
-all of the function's own package. A change in any of them gives a new folder.
+all of the function's own room or package. A change in any of them gives a new folder.
 """
 
 from __future__ import annotations
@@ -30,14 +30,16 @@ _LOWER_FLOORS = ("compiled", "constants.py", "linear", "maths")
 def _digest(folder: Path) -> str:
     """Digest of the sources that machine code of a file in `folder` may depend on.
 
-    In this package: the lower floors and the folder itself. Elsewhere: the whole package that
-    the folder is in, or only itself for a loose file.
+    In this package: the lower floors and the whole room that the folder is in, whose files may
+    call one another. Elsewhere: the whole package that the folder is in, or only itself for a
+    loose file.
     """
     top, loose = folder, not (folder / "__init__.py").is_file()
     while (top.parent / "__init__.py").is_file():
         top = top.parent
     if top == _PACKAGE:
-        paths = {*folder.glob("*.py")} if folder != top else set()
+        room = folder.relative_to(top).parts[:1]
+        paths = {*(top / room[0]).rglob("*.py")} if room else set()
         for floor in _LOWER_FLOORS:
             paths |= {top / floor} if floor.endswith(".py") else {*(top / floor).glob("*.py")}
     else:

@@ -8,7 +8,7 @@ kernel.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from relnav_graph.arrays import Array, Indices
@@ -18,6 +18,9 @@ from relnav_graph.core.state import Block
 __all__ = [
     "Derived",
     "Dynamics",
+    "KnowsTorque",
+    "NamesDirections",
+    "ProposesStarts",
     "Sensor",
 ]
 
@@ -130,3 +133,35 @@ class Derived(Protocol):
 
     def value(self, *x: Array) -> tuple[Array, Array]:
         """The value, and d(tangent of the value) / d(tangents of the blocks read)."""
+
+
+# What a model may offer besides. Who needs one of these asks for it by its Protocol.
+
+
+@runtime_checkable
+class ProposesStarts(Protocol):
+    """A sensor one look of which suggests values of blocks, to start an estimate from."""
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """Hypotheses, values by block name, of observations ids (k,) and z (k, nz); known: of
+        the other blocks."""
+
+
+@runtime_checkable
+class NamesDirections(Protocol):
+    """A model that can name directions of the state in which its information is weak."""
+
+    def directions(self, *x: Array) -> Mapping[str, tuple[Array, ...]]:
+        """By name: for each block that the model reads, tangents (dim, k) of k directions."""
+
+
+@runtime_checkable
+class KnowsTorque(Protocol):
+    """A process of a body of known inertia, (3, 3) in t, kg m^2, under a known torque."""
+
+    known_inertia: Array
+
+    def torque(self, t: float, R_it: Array) -> Array:
+        """The torque (3,) in t, N m, at time t, s, and attitude R_it (3, 3)."""

@@ -17,7 +17,7 @@ from relnav_graph.core.contracts import Derived, Kernel, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError, ModelError
-from relnav_graph.registry import classes
+from relnav_graph.registry import classes, provides
 from relnav_graph.units import check_fields
 
 __all__ = [
@@ -227,7 +227,7 @@ def derived_quantities(layout: Layout) -> list[Derived]:
     return [
         cls()
         for cls in classes(ENTRY_POINTS).values()
-        if hasattr(cls, "block")
+        if provides(cls, Derived)
         and cls.block.name not in layout
         and all(block in layout.blocks for block in cls.reads)
     ]

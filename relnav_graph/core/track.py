@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block, Layout
 
 __all__ = [
@@ -103,6 +104,17 @@ class Truth:
     t: Array
     values: Mapping[str, Array]
     source: str = ""
+
+    def at(self, times: Array) -> tuple[Indices, NDArray[np.bool_]]:
+        """Where the truth at `times` (M,), s, stands: rows (M,), the nearest ones, and which
+        of them are of that time, within `SAME_TIME`."""
+        if not len(self.t):
+            return np.zeros(len(times), np.int64), np.zeros(len(times), np.bool_)
+        rows = np.clip(np.searchsorted(self.t, times), 0, len(self.t) - 1)
+        before = np.maximum(rows - 1, 0)
+        closer = np.abs(self.t[before] - times) <= np.abs(self.t[rows] - times)
+        rows = np.where(closer, before, rows)
+        return rows, np.abs(self.t[rows] - times) <= SAME_TIME
 
 
 @dataclass(frozen=True, eq=False)

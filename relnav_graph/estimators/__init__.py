@@ -11,6 +11,9 @@ from threadpoolctl import threadpool_limits
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
+from relnav_graph.estimators.online.engine import Engine
+from relnav_graph.estimators.online.monitor import caution
+from relnav_graph.estimators.source import Source
 from relnav_graph.registry import find_class
 
 __all__ = ["GROUP", "Estimator", "diverged", "run_estimator", "try_estimator"]
@@ -20,14 +23,29 @@ GROUP = "relnav_graph.estimators"
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What every estimator offers; those that can be driven online also have
-    ``engine(problem)``, see `relnav_graph.estimators.online.driver`, and those that take epochs as
-    they come ``drive(source)``, see `relnav_graph.estimators.source`."""
+    """What every estimator offers."""
 
     kind: ClassVar[str]
 
     def run(self, problem: Problem) -> Track:
         """Estimate the whole pass. Raises EstimationError when that is impossible."""
+
+
+@runtime_checkable
+class TakesEpochs(Protocol):
+    """An estimator that takes epochs as they come: of a recording, or of a pass that its own
+    estimates fly."""
+
+    def drive(self, source: Source) -> Track:
+        """Estimate at each epoch of a source, before the next one comes."""
+
+
+@runtime_checkable
+class ServesOnline(Protocol):
+    """An estimator that can be driven online, see `relnav_graph.estimators.online.driver`."""
+
+    def engine(self, problem: Problem) -> Engine:
+        """What makes a state of the state before and an epoch."""
 
 
 def run_estimator(kind: str, problem: Problem) -> Track:
@@ -47,8 +65,6 @@ def run_estimator(kind: str, problem: Problem) -> Track:
 
 def _cautious(track: Track, problem: Problem) -> Track:
     """The track, degraded where a process says that its state cannot be told from another."""
-    from relnav_graph.estimators.online.monitor import caution
-
     for epoch, x in zip(problem.epochs, track.x, strict=True):
         doubt = caution(problem, epoch, x)
         if doubt:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -24,19 +24,42 @@ from relnav_graph.estimators.weights import (
     thresholds,
 )
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.filter import FAILURES, PROPAGATED, SENSOR_BROKE, filter_epochs
+from relnav_graph.linear.filter import (
+    FAILURES,
+    PROPAGATED,
+    SENSOR_BROKE,
+    FilterInput,
+    FilterOutput,
+    filter_epochs,
+)
 
 __all__ = [
     "Ekf",
     "FilterPass",
+    "FilterState",
     "IteratedEkf",
-    "KalmanFilter",
     "filter_pass",
+    "filter_step",
+    "run_filter",
 ]
 
 
 #: Gauss-Newton steps of an iterated update, at most; the same wherever one is made.
 ITERATIONS = 20
+
+
+class FilterState(NamedTuple):
+    """Where a filter stands: t, s, of its newest epoch, None before the first; the estimate
+    x (size,) and its covariance P (n, n), in the tangent of x."""
+
+    t: float | None
+    x: Array
+    P: Array
+
+    @classmethod
+    def at_prior(cls, problem: Problem) -> FilterState:
+        """Before the first epoch of a problem."""
+        return cls(None, problem.prior.x, problem.prior.P)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +83,7 @@ class FilterPass:
     weights: Array
     nis: Array
     used: Indices
+    end: FilterState
     reached: int = 0
     stopped: str = ""
 
@@ -123,68 +147,78 @@ def _whitened(S: Array, r: Array) -> Array:
     return white
 
 
-class KalmanFilter:
-    """The filter's machinery: one `step` per epoch, or `run` over many.
+def run_filter(
+    problem: Problem,
+    iterations: int,
+    assembly: Assembly,
+    start: FilterState | None = None,
+    keep: bool = True,
+    seconds: list[float] | None = None,
+) -> FilterPass:
+    """Filter the epochs of an assembly, or as many as the filter survives.
 
-    t, x, P: where it stands. Steps and runs are one compiled function.
+    iterations: Gauss-Newton steps of each measurement update; start: where the filter stands
+    before the first epoch, by default the prior; keep: F of all epochs, for a smoother;
+    seconds: gets the time of each epoch, s. Raises ModelError when a kernel breaks its contract.
     """
+    count, n, size = len(assembly.times), problem.layout.dim, problem.layout.size
+    kept = count if keep else 1
+    out = FilterOutput(
+        x_predicted=np.zeros((count, size)),
+        P_predicted=np.zeros((count, n, n)),
+        F=np.zeros((kept, n, n)),
+        Q=np.zeros((1, n, n)),
+        x=np.full((count, size), np.nan),
+        P=np.full((count, n, n), np.nan),
+        weights=np.ones(assembly.observations),
+        nis=np.zeros(count),
+        used=np.zeros(count, dtype=np.int64),
+    )
+    given = FilterInput(
+        epoch_offsets=assembly.epoch_offsets,
+        row_offsets=assembly.row_offsets,
+        kinds=assembly.layout.kinds,
+        limits=thresholds(assembly, problem.gates),
+        losses=losses_of(assembly, problem.losses),
+    )
+    at = FilterState.at_prior(problem) if start is None else start
+    failure, reached = np.zeros(4, dtype=np.int64), 0
+    for k in range(count) if seconds is not None else [0]:
+        begun, end = time.perf_counter(), k + 1 if seconds is not None else count
+        filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, out, failure)
+        reached = int(failure[3]) if failure[0] else end
+        if reached:
+            t = float(assembly.times[reached - 1])
+            at = FilterState(t, out.x[reached - 1], out.P[reached - 1])
+        if failure[0]:
+            out.x[reached:], out.P[reached:] = np.nan, np.nan
+            break
+        if seconds is not None:
+            seconds.append(time.perf_counter() - begun)
+    why = _why(assembly, failure)
+    return FilterPass(assembly, **out._asdict(), end=at, reached=reached, stopped=why)
 
-    def __init__(self, problem: Problem, iterations: int) -> None:
-        self.problem, self.iterations = problem, iterations
-        self.t: float | None = None
-        self.x, self.P = problem.prior.x, problem.prior.P
 
-    def step(self, epoch: Epoch, assembly: Assembly | None = None) -> FilterPass:
-        """Predict to the epoch and update with its measurements.
+def filter_step(
+    problem: Problem,
+    iterations: int,
+    state: FilterState,
+    epoch: Epoch,
+    assembly: Assembly | None = None,
+) -> FilterPass:
+    """Predict from a state to an epoch and update with its measurements.
 
-        assembly: of this epoch, where the caller has it already.
-        Raises EstimationError when the state cannot be propagated or updated, or is no
-        longer finite; the filter then stands where it stood before.
-        """
-        p = self.problem
-        if assembly is None:
-            assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], t_before=self.t)
-        done = self.run(assembly)
-        if done.stopped:
-            raise EstimationError(done.stopped)
-        return done
-
-    def run(
-        self, assembly: Assembly, keep: bool = True, seconds: list[float] | None = None
-    ) -> FilterPass:
-        """Filter the epochs of an assembly, or as many as the filter survives.
-
-        keep: F of all epochs, for a smoother; seconds: gets the time of each
-        epoch, s. Raises ModelError when a kernel breaks its contract.
-        """
-        count, n, size = len(assembly.times), self.problem.layout.dim, self.problem.layout.size
-        kept = count if keep else 1
-        F, P_predicted, Q = (np.zeros((k, n, n)) for k in (kept, count, 1))
-        x, P = np.full((count, size), np.nan), np.full((count, n, n), np.nan)
-        out = FilterPass(
-            *(assembly, np.zeros((count, size)), P_predicted, F, Q, x, P),
-            *(np.ones(assembly.observations), np.zeros(count), np.zeros(count, dtype=np.int64)),
-        )
-        limits, failure = thresholds(assembly, self.problem.gates), np.zeros(4, dtype=np.int64)
-        losses = losses_of(assembly, self.problem.losses)
-        arrays = [getattr(out, f.name) for f in fields(out)[1:-2]]
-        for k in range(count) if seconds is not None else [0]:
-            begun, end = time.perf_counter(), k + 1 if seconds is not None else count
-            filter_epochs(
-                *(assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
-                *(assembly.layout.kinds, limits, losses, self.iterations, k, end),
-                *(self.x, self.P, *arrays, failure),
-            )
-            reached = int(failure[3]) if failure[0] else end
-            if reached:
-                self.t = float(assembly.times[reached - 1])
-                self.x, self.P = x[reached - 1], P[reached - 1]
-            if failure[0]:
-                x[reached:], P[reached:] = np.nan, np.nan
-                break
-            if seconds is not None:
-                seconds.append(time.perf_counter() - begun)
-        return replace(out, reached=reached, stopped=_why(assembly, failure))
+    assembly: of this epoch, where the caller has it already. The new state is the `end` of
+    what it gives. Raises EstimationError when the state cannot be propagated or updated, or is
+    no longer finite, ModelError when a kernel breaks its contract.
+    """
+    if assembly is None:
+        models = problem.layout, problem.processes, problem.sensors
+        assembly = Assembly(*models, [epoch], t_before=state.t)
+    done = run_filter(problem, iterations, assembly, state)
+    if done.stopped:
+        raise EstimationError(done.stopped)
+    return done
 
 
 def _why(assembly: Assembly, failure: Indices) -> str:
@@ -220,7 +254,7 @@ class KalmanEngine:
     compact = True
 
     def __init__(self, problem: Problem, iterations: int) -> None:
-        self.problem, self._kalman = problem, KalmanFilter(problem, iterations)
+        self.problem, self.iterations = problem, iterations
 
     def begin(self) -> KalmanState:
         """At the prior, before the first epoch."""
@@ -229,11 +263,10 @@ class KalmanEngine:
     def advance(
         self, state: KalmanState, epoch: Epoch, assembly: Assembly | None = None
     ) -> KalmanState:
-        """Predict and update; see `KalmanFilter.step`."""
-        kalman = self._kalman
-        kalman.t, kalman.x, kalman.P = state.t, state.x, state.P
-        done = kalman.step(epoch, assembly)
-        return KalmanState(kalman.t, kalman.x, kalman.P, done)
+        """Predict and update; see `filter_step`."""
+        before = FilterState(state.t, state.x, state.P)
+        done = filter_step(self.problem, self.iterations, before, epoch, assembly)
+        return KalmanState(*done.end, done)
 
     def save(self, state: KalmanState) -> dict[str, Array]:
         """t (NaN before the first epoch), x, P."""
@@ -248,14 +281,14 @@ class KalmanEngine:
 def filter_pass(
     problem: Problem, iterations: int, keep: bool = True, seconds: list[float] | None = None
 ) -> FilterPass:
-    """Filter all epochs, or as many as the filter survives; see `KalmanFilter.run`."""
+    """Filter all epochs, or as many as the filter survives; see `run_filter`."""
     assembly = Assembly.of(problem)
-    return KalmanFilter(problem, iterations).run(assembly, keep, seconds)
+    return run_filter(problem, iterations, assembly, None, keep, seconds)
 
 
 @dataclass(frozen=True)
 class Ekf:
-    """Extended Kalman filter: error state on the manifold, Joseph's covariance update.
+    """Extended Kalman filter: error state on the manifold, updated by a QR decomposition.
 
     iterations: Gauss-Newton steps of each measurement update.
     """

@@ -33,7 +33,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
+from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
 from relnav_graph.estimators.source import Recorded, Source
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
@@ -70,7 +70,6 @@ class FixedLagEngine:
         self, problem: Problem, length: float | None = None, tolerance: float = 1e-3
     ) -> None:
         self.problem, self.length, self.tolerance = problem, length, tolerance
-        self._kalman = KalmanFilter(problem, ITERATIONS)
 
     def begin(self) -> Window:
         """At the prior, before the first epoch."""
@@ -82,11 +81,12 @@ class FixedLagEngine:
 
         Raises EstimationError, naming the epoch, when there is no estimate.
         """
-        p, kalman = self.problem, self._kalman
+        p = self.problem
         if assembly is None:
             assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
-        kalman.t, kalman.x, kalman.P = state.t, state.x, state.P
-        done = kalman.step(epoch, assembly)  # where to start from, and what the gate rejects
+        # Where to start from, and what the gate rejects.
+        before = FilterState(state.t, state.x, state.P)
+        done = filter_step(p, ITERATIONS, before, epoch, assembly)
         longer = replace(
             state,
             t=epoch.t,
@@ -94,9 +94,9 @@ class FixedLagEngine:
             parts=(*state.parts, assembly),
             weights=(*state.weights, done.weights),
         )
-        window = self._extended(longer, kalman.x)
+        window = self._extended(longer, done.end.x)
         if window is None:
-            window = self._solved(longer, kalman.x)
+            window = self._solved(longer, done.end.x)
         chain = window.chain
         assert chain is not None
         x, P = chain.estimates(p.layout, slice(-1, None))[0], _covariance(chain.conditionals.R[-1])

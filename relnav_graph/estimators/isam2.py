@@ -26,7 +26,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, KalmanFilter
+from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, FilterState, filter_step
 from relnav_graph.estimators.source import Recorded, Source
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
@@ -105,7 +105,6 @@ class IncrementalSmoother:
     def __init__(self, problem: Problem, ratio: float) -> None:
         self.problem, self.ratio = problem, ratio
         self.state = SmootherState(None, problem.prior.x, problem.prior.P)
-        self._kalman = KalmanFilter(problem, ITERATIONS)
         self._tree, self._tree_log = _new_tree(), self.state.log
 
     @property
@@ -136,22 +135,21 @@ class IncrementalSmoother:
         return self.x, self.P
 
     def _step(self, epoch: Epoch, assembly: Assembly | None) -> None:
-        problem, s, kalman = self.problem, self.state, self._kalman
+        problem, s = self.problem, self.state
         if assembly is None:
             layout, models = problem.layout, (problem.processes, problem.sensors)
             assembly = Assembly(layout, *models, [epoch], s.t)
         # The reference: where an iterated filter goes from here.
-        kalman.t, kalman.x, kalman.P = s.t, s.x, s.P
-        done = kalman.step(epoch, assembly)
+        done = filter_step(problem, ITERATIONS, FilterState(s.t, s.x, s.P), epoch, assembly)
         self.state = replace(
             s,
             t=epoch.t,
-            x=kalman.x,
-            P=kalman.P,
+            x=done.end.x,
+            P=done.end.P,
             count=s.count + 1,
             assemblies=(*s.assemblies, assembly),
             weights=(*s.weights, done.weights),
-            references=(*s.references, kalman.x),
+            references=(*s.references, done.end.x),
             done=done,
         )
         if self.state.count >= s.due:

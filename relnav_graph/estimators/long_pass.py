@@ -20,7 +20,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import at_rounding
-from relnav_graph.estimators.ekf import ITERATIONS, KalmanFilter
+from relnav_graph.estimators.ekf import ITERATIONS, FilterState, run_filter
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.weights import count_downweighted, count_rejected
 from relnav_graph.linear.assembly import Assembly
@@ -65,11 +65,12 @@ def _systems(parts: Iterable[_Part]) -> Iterator[System]:
 
 def _parts(problem: Problem, epochs: Iterator[Epoch], size: int) -> Iterator[_Part]:
     """The pass in parts, with trajectories from the iterated filter, each smoothed alone."""
-    kalman, layout = KalmanFilter(problem, ITERATIONS), problem.layout
+    at, layout = FilterState.at_prior(problem), problem.layout
     models, anchor = (layout, problem.processes, problem.sensors), anchor_of(problem.prior)
     while own := list(islice(epochs, size)):
-        assembly, before = Assembly(*models, own, kalman.t), kalman.x
-        done = kalman.run(assembly)
+        assembly, before = Assembly(*models, own, at.t), at.x
+        done = run_filter(problem, ITERATIONS, assembly, at)
+        at = done.end
         if done.stopped:
             raise EstimationError(done.stopped)
         x = smooth(done, covariances=False)[0]

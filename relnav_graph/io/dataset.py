@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import Sensor
-from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
@@ -60,7 +60,6 @@ Columns = Mapping[str, NDArray[Any]]
 
 _FORMAT = 1
 #: Measurements this close to an epoch, s, belong to it (as in `problem.make_epochs`).
-_SAME_TIME = 1e-6
 _UNIT_QUATERNION = 1e-6
 
 
@@ -116,7 +115,7 @@ def _on_epochs(truth: Truth, times: Array) -> Truth:
     padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
     right = np.searchsorted(padded, times)
     apart = np.minimum(times - padded[right - 1], padded[right] - times)
-    lacking = times[apart > _SAME_TIME]
+    lacking = times[apart > SAME_TIME]
     order = np.argsort(t := np.concatenate([truth.t, lacking]), kind="stable")
     values = {}
     for name, value in truth.values.items():
@@ -194,7 +193,7 @@ def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measur
     epochs = read_table(folder, "epochs")
     if epochs is None:
         times = np.array([m.t for m in measurements])
-        times = times[np.diff(times, prepend=-np.inf) > _SAME_TIME]
+        times = times[np.diff(times, prepend=-np.inf) > SAME_TIME]
     else:
         epochs.require(("t_s",))
         epochs.increasing("t_s")
@@ -206,7 +205,7 @@ def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measur
         right = np.searchsorted(times, t)
         left, right = np.maximum(right - 1, 0), np.minimum(right, len(times) - 1)
         apart = np.minimum(np.abs(times[left] - t), np.abs(times[right] - t))
-        table.refuse(apart > _SAME_TIME, "t_s", "the time of an epoch")
+        table.refuse(apart > SAME_TIME, "t_s", "the time of an epoch")
     return times
 
 

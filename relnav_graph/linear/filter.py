@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import types
 
@@ -15,7 +17,15 @@ from relnav_graph.maths import dense
 from relnav_graph.maths.dense import cholesky, column_squares, copy, sandwich, solve_lower
 from relnav_graph.maths.losses import root_weight
 
-__all__ = ["FAILURES", "NOT_POSITIVE", "PROPAGATED", "SENSOR_BROKE", "filter_epochs"]
+__all__ = [
+    "FAILURES",
+    "NOT_POSITIVE",
+    "PROPAGATED",
+    "SENSOR_BROKE",
+    "FilterInput",
+    "FilterOutput",
+    "filter_epochs",
+]
 
 
 # What stopped a step: the first of four numbers, before process or observation and status.
@@ -68,44 +78,73 @@ def _finite(v: Array) -> bool:
     return finite
 
 
+class FilterInput(NamedTuple):
+    """What a filter is given beside the tables of a pass.
+
+    epoch_offsets, row_offsets (N + 1,): where each epoch's observations and rows begin; kinds:
+    of the state's blocks, see `relnav_graph.maths.manifold`; limits (observations,): of the
+    gate; losses (observations, 2): kind and tuning of the robust ones.
+    """
+
+    epoch_offsets: Indices
+    row_offsets: Indices
+    kinds: Indices
+    limits: Array
+    losses: Array
+
+
+class FilterOutput(NamedTuple):
+    """What a filter fills in; see `filter_epochs`.
+
+    x_predicted (N, size), P_predicted (N, n, n), F (N or 1, n, n), Q (1, n, n), x (N, size),
+    P (N, n, n), nis and used (N,): by epoch; weights (observations,).
+    """
+
+    x_predicted: Array
+    P_predicted: Array
+    F: Array
+    Q: Array
+    x: Array
+    P: Array
+    weights: Array
+    nis: Array
+    used: Indices
+
+
+_INPUT = types.NamedTuple((INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX), FilterInput)
+_OUTPUT = types.NamedTuple(
+    (MATRIX, STACK, STACK, STACK, MATRIX, STACK, VECTOR, VECTOR, INDICES), FilterOutput
+)
+
+
 @jit_loop(
-    TABLES,
-    *(INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX, types.int64, types.int64, types.int64),
-    *(VECTOR, MATRIX, MATRIX, STACK, STACK, STACK),
-    *(MATRIX, STACK, VECTOR, VECTOR, INDICES, INDICES),
+    *(TABLES, _INPUT, types.int64, types.int64, types.int64, VECTOR, MATRIX, _OUTPUT, INDICES)
 )
 def filter_epochs(
     tables: Tables,
-    epoch_offsets: Indices,
-    row_offsets: Indices,
-    kinds: Indices,
-    limit: Array,
-    losses: Array,
+    given: FilterInput,
     iterations: int,
     begin: int,
     end: int,
     x_before: Array,
     P_before: Array,
-    x_predicted: Array,
-    P_predicted: Array,
-    F: Array,
-    Q: Array,
-    x: Array,
-    P: Array,
-    weight: Array,
-    nis: Array,
-    used: Indices,
+    out: FilterOutput,
     failure: Indices,
 ) -> None:
     """Predict to each epoch from `begin` to `end` and update with what it measured.
 
-    x_before (size,), P_before (n, n): the state that the first of them starts from. limit:
-    of the gate, for each observation; losses (observations, 2): robust ones. Fills, by
+        x- = f(x),  P- = F P F^T + Q;   then x, P by `relnav_graph.linear.update.update`
+
+    x_before (size,), P_before (n, n): the state that the first of them starts from. Fills, by
     epoch, predictions, F and Q (which may have room for one epoch only, then the last one's),
     x, P, nis and used (squared normalised innovation of the rows used, and their number); by
-    observation, weight (the square root of a robust one, 0 for one left out). failure (4,):
+    observation, weights (the square root of a robust one, 0 for one left out). failure (4,):
     what stopped it, process or observation, status, epoch.
     """
+    epoch_offsets, row_offsets, kinds = given.epoch_offsets, given.row_offsets, given.kinds
+    limit, losses, weight = given.limits, given.losses, out.weights
+    x_predicted, P_predicted, F, Q = out.x_predicted, out.P_predicted, out.F, out.Q
+    x, P, nis, used = out.x, out.P, out.nis, out.used
     lag = epoch_offsets.shape[0] - 1 - tables.starts.shape[0]
     xk, Pk = x_before.copy(), P_before.copy()
     n, most = Pk.shape[0], 0

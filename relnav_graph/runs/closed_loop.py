@@ -27,7 +27,7 @@ from relnav_graph.errors import (
     InputError,
     ModelError,
 )
-from relnav_graph.estimators import GROUP, diverged, try_estimator
+from relnav_graph.estimators import GROUP, TakesEpochs, diverged, try_estimator
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
 from relnav_graph.scenario.scenario import Scenario
@@ -164,7 +164,7 @@ class ClosedLoop:
 
 def flies(kind: str) -> bool:
     """Whether an estimator of a kind takes one epoch at a time. Raises ModelError."""
-    return hasattr(find_class(GROUP, kind), "drive")
+    return issubclass(find_class(GROUP, kind), TakesEpochs)
 
 
 def fly(scenario: Scenario, kind: str, seed: int, run: int = 0) -> Flown:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.contracts import ProposesStarts
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
@@ -128,7 +129,7 @@ def hypotheses(problem: Problem, names: Sequence[str]) -> list[Hypothesis]:
     when it does not see enough.
     """
     layout, epoch = problem.layout, problem.epochs[0]
-    able = [n for n, s in problem.sensors.items() if hasattr(s, "starts")]
+    able = [n for n, s in problem.sensors.items() if isinstance(s, ProposesStarts)]
     starts = list(_starts(problem, epoch, names))
     if not starts:
         raise EstimationError(

@@ -77,9 +77,9 @@ def make_prior(
             continue
         value = np.full(1, np.nan)
         if truth is not None and block.name in truth.values:
-            k = int(np.abs(truth.t - t).argmin())
-            if abs(truth.t[k] - t) < 1e-6:
-                value = truth.values[block.name][k]
+            rows, there = truth.at(np.array([t]))
+            if there[0]:
+                value = truth.values[block.name][rows[0]]
         if not np.isfinite(value).all():
             raise InputError(
                 f"prior.{block.name}: mean = {mean!r} needs the truth at t = {t} s, which is"

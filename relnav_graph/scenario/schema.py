@@ -22,10 +22,12 @@ from pydantic import (
 )
 
 from relnav_graph.core import models
+from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.maths.losses import LossKind
-from relnav_graph.registry import classes, find_class
+from relnav_graph.registry import classes, find_class, provides
 from relnav_graph.sim.contracts import GROUP as TRUTHS
+from relnav_graph.sim.contracts import Instrument
 from relnav_graph.sim.sensors import Law, Timing
 from relnav_graph.units import Quantity, parse_quantity
 
@@ -259,13 +261,13 @@ def json_schema() -> dict[str, Any]:
     schema["$defs"] |= own_options.pop("$defs", {})
     options = own_options["properties"]
     for section, group, contract, general in (
-        ("processes", models.ENTRY_POINTS, "advances", {}),
-        ("sensors", models.ENTRY_POINTS, "observables", options),
-        ("inputs", TRUTHS, "edges", {}),
+        ("processes", models.ENTRY_POINTS, Dynamics, {}),
+        ("sensors", models.ENTRY_POINTS, Sensor, options),
+        ("inputs", TRUTHS, Instrument, {}),
     ):
         choices = []
         for kind, cls in classes(group).items():
-            if hasattr(cls, contract):
+            if provides(cls, contract):
                 choice = TypeAdapter(cls).json_schema()
                 schema["$defs"] |= choice.pop("$defs", {})
                 own = choice.get("properties", {})

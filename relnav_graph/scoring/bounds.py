@@ -42,8 +42,8 @@ def true_trajectory(problem: Problem, truth: Truth | None) -> Array:
     missing = [b.name for b in layout if b.name not in truth.values]
     if missing:
         raise InputError(f"the truth does not know {missing}")
-    k = np.clip(np.searchsorted(truth.t, times - 1e-6), 0, len(truth.t) - 1)
-    if np.abs(truth.t[k] - times).max() > 1e-6:
+    k, known = truth.at(times)
+    if not known.all():
         raise InputError("the truth does not know every epoch")
     parts = [truth.values[b.name][k].reshape(len(times), b.size) for b in layout]
     x = np.ascontiguousarray(np.hstack(parts))

@@ -36,8 +36,6 @@ __all__ = [
 
 Band = tuple[float, float]
 
-#: Truth and estimate are of one epoch when their times differ by less than this, s.
-_SAME_TIME = 1e-6
 #: An eigenvalue of a correlation matrix below this fraction of the largest counts as zero:
 #: a constraint leaves about 1e-16, from rounding.
 _RANK = 1e-12
@@ -119,17 +117,14 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
 
 def _truth_at(t: Array, truth: Truth, derived: Sequence[Derived]) -> dict[str, Array]:
     """True values at times t (N,), by name. Raises InputError on a time truth lacks."""
-    padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
-    right = np.searchsorted(truth.t, t) + 1
-    nearest = np.where(t - padded[right - 1] <= padded[right] - t, right - 1, right)
-    missing = np.abs(padded[nearest] - t) > _SAME_TIME
-    if missing.any():
-        raise InputError(f"truth {truth.source!r}: no epoch at {t[missing][0]} s")
+    rows, known = truth.at(t)
+    if not known.all():
+        raise InputError(f"truth {truth.source!r}: no epoch at {t[~known][0]} s")
     values = {}
     for name, value in truth.values.items():
         if len(value) != len(truth.t):
             raise InputError(f"truth of {name!r}: {len(value)} values at {len(truth.t)} times")
-        values[name] = np.ascontiguousarray(value[nearest - 1], dtype=np.float64)
+        values[name] = np.ascontiguousarray(value[rows], dtype=np.float64)
     for quantity in derived:
         names = [b.name for b in quantity.reads]
         if quantity.block.name not in values and all(n in truth.values for n in names):

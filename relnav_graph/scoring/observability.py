@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Derived
+from relnav_graph.core.contracts import Derived, NamesDirections
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.linear.assembly import Assembly
@@ -77,7 +77,7 @@ def named_directions(problem: Problem, x: Array) -> list[Direction]:
     ]
     models += [(s, s.reads) for s in problem.sensors.values()]
     for model, blocks in models:
-        if not hasattr(model, "directions"):
+        if not isinstance(model, NamesDirections):
             continue
         values = [layout.value(x, b.name) for b in blocks]
         for name, parts in model.directions(*values).items():

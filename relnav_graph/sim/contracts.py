@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Protocol, runtime_checkable
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.state import Block
+from relnav_graph.core.track import Truth
 
 __all__ = [
     "GROUP",
@@ -73,3 +74,31 @@ class Controller(Protocol):
 
     def control_errors(self, values: Mapping[str, Array]) -> Mapping[str, Array]:
         """True values of `controlled` over a pass of true values (N, ...)."""
+
+
+@runtime_checkable
+class Instrument(Protocol):
+    """What an input (gyro, accelerometer) reads of the truth."""
+
+    def edges(self, t0: float, t1: float) -> Array:
+        """Where the samples from t0 to t1, s, begin and end, (n + 1,), s."""
+
+
+@runtime_checkable
+class IntervalInstrument(Instrument, Protocol):
+    """An instrument whose errors are drawn interval by interval, while the pass is flown."""
+
+    @property
+    def measures(self) -> Sequence[str]:
+        """Names of the blocks that are its bias."""
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """What draws the errors, with `bias` (3,) and `take(edges)`."""
+
+
+@runtime_checkable
+class SimulatedTruth(Protocol):
+    """A truth that gives a whole pass at once."""
+
+    def simulate(self, *arguments: Any) -> Truth:
+        """True blocks at given times."""

@@ -9,10 +9,11 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics, Sensor
-from relnav_graph.core.measurement import InputSeries
+from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.sim.contracts import ControlledTruth, IntervalInstrument
 from relnav_graph.sim.instruments.constant_input import ConstantInput
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
 from relnav_graph.sim.sensors import Timing, measure_all, stream
@@ -28,7 +29,7 @@ def _drifted(
 ) -> tuple[Truth, dict[str, InputSeries]]:
     """A pass flown without commands, and its inputs. Raises InputError when the truth cannot
     be flown or cannot drive an input."""
-    if not hasattr(truth_model, "fly"):
+    if not isinstance(truth_model, ControlledTruth):
         raise InputError(f"truth.kind: found {truth_model.kind!r}, which drives no such inputs")
     flight = truth_model.fly(float(times[0]), rng)
     values = [{**flight.values(), **inputs.biases(0)}]
@@ -70,7 +71,7 @@ def simulate(
             series[name] = source.series(name, t0, t1)
         rng = stream(seed, run, "truth")
         truth = truth_model.simulate(layout, processes, series, times, rng)
-    elif any(hasattr(source, "begin") for source in inputs.values()):
+    elif any(isinstance(source, IntervalInstrument) for source in inputs.values()):
         columns = {name: len(c) for p in processes.values() for name, c in p.inputs.items()}
         drawn = IntervalInputs(
             inputs, columns, times, lambda name: stream(seed, run, f"input {name}")
@@ -86,7 +87,7 @@ def simulate(
             rates = truth_model.mean_rate(edges[:-1], edges[1:])
             rng = stream(seed, run, f"input {name}")
             series[name], bias = source.sample(rates, edges[:-1], edges[1:], rng)
-            at = np.searchsorted(edges, times - 1e-6)
+            at = np.searchsorted(edges, times - SAME_TIME)
             truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
     known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
     truth = Truth(truth.t, known, truth.source)

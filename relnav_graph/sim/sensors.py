@@ -11,7 +11,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Sensor
-from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import GeometryError, InputError
 
@@ -45,7 +45,7 @@ class Timing:
     law: Law = "gaussian"
 
     def fires(self, t: float, t0: float) -> bool:
-        if not self.begin - 1e-6 < t < self.end - 1e-6:
+        if not self.begin - SAME_TIME < t < self.end - SAME_TIME:
             return False
         if self.period is None:
             return True

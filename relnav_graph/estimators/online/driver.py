@@ -26,7 +26,7 @@ from relnav_graph.core.packing import Repeats, held, merged, pack, under, unpack
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError, InputError, LateError, ModelError, RelnavError
-from relnav_graph.estimators import GROUP
+from relnav_graph.estimators import GROUP, ServesOnline
 from relnav_graph.estimators.ekf import FilterPass
 from relnav_graph.estimators.online.engine import Engine, EngineState, Estimate, Refusal
 from relnav_graph.estimators.online.monitor import (
@@ -77,7 +77,7 @@ class Online:
 
     def __init__(self, problem: Problem, kind: str) -> None:
         estimator = find_class(GROUP, kind)()
-        if not hasattr(estimator, "engine"):
+        if not isinstance(estimator, ServesOnline):
             raise ModelError(f"estimator {kind!r} cannot be driven online: it has no `engine`")
         self.problem, self.kind = problem, kind
         self.engine: Engine = estimator.engine(problem)

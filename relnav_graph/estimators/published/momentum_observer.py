@@ -12,6 +12,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import TARGET_ATTITUDE, TARGET_RATE
+from relnav_graph.core.contracts import KnowsTorque, ProposesStarts
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
@@ -55,8 +56,8 @@ def observer_step(
 def _seen(problem: Problem, epoch: Epoch) -> Iterator[Array]:
     """Attitudes of the target as measured in an epoch."""
     for m in epoch.measurements:
-        sensor: Any = problem.sensors[m.sensor]
-        if hasattr(sensor, "starts"):
+        sensor = problem.sensors[m.sensor]
+        if isinstance(sensor, ProposesStarts):
             for values in sensor.starts(m.ids, sensor.accept(m.z), {}):
                 if TARGET_ATTITUDE.name in values:
                     yield values[TARGET_ATTITUDE.name]
@@ -143,10 +144,10 @@ class MomentumObserver:
             yield values, time.perf_counter() - begun
 
 
-def _process(problem: Problem) -> tuple[Any, Array]:
+def _process(problem: Problem) -> tuple[KnowsTorque, Array]:
     """The one process, and the inertia of its body."""
     processes = list(problem.processes.values())
-    own = [p for p in processes if hasattr(p, "torque") and hasattr(p, "known_inertia")]
+    own = [p for p in processes if isinstance(p, KnowsTorque)]
     if problem.layout.blocks != (TARGET_ATTITUDE, TARGET_RATE) or len(own) != 1:
         raise ModelError(
             f"momentum_observer: found {problem.layout} with processes"

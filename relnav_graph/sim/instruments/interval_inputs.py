@@ -10,6 +10,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
+from relnav_graph.sim.contracts import IntervalInstrument
 from relnav_graph.sim.instruments.constant_input import ConstantInput
 
 __all__ = ["IntervalInputs"]
@@ -38,7 +39,7 @@ class IntervalInputs:
         for name, source in sources.items():
             if isinstance(source, ConstantInput):
                 self._steady[name] = source.series(name, t0, t1)
-            elif hasattr(source, "begin"):
+            elif isinstance(source, IntervalInstrument):
                 self._samplers[name] = source, source.begin(rng_of(name))
             else:
                 edges = source.edges(t0, t1)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
@@ -164,7 +165,7 @@ class PoweredFlight:
         for name, own in edges.items():
             if name not in ("gyro", "accelerometer"):
                 raise InputError(f"powered_orbits: cannot drive the input {name!r}")
-            if abs(own[0] - t_before) > 1e-6 or abs(own[-1] - t) > 1e-6:
+            if abs(own[0] - t_before) > SAME_TIME or abs(own[-1] - t) > SAME_TIME:
                 raise InputError(f"inputs.{name}: samples do not cover {t_before} s to {t} s")
             both = sample_attitude(before, turned, self._wobble, own, pushed_i)
             found[name] = both[0 if name == "gyro" else 1]

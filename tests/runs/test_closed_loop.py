@@ -118,7 +118,7 @@ def test_every_estimator_meets_the_same_noise_and_flies_its_own_pass(
 def test_an_error_of_the_estimate_moves_the_craft_by_as_much() -> None:
     scenario = short()
     honest = fly(scenario, "ekf", seed=3)
-    lying = fly(scenario, "test_loop:Biased", seed=3)
+    lying = fly(scenario, "test_closed_loop:Biased", seed=3)
     # The track is what the filter found; the craft went where it was told.
     np.testing.assert_array_equal(lying.track.x, honest.track.x)
     R_tc = truth_of(lying).values["control_attitude"][-1]
@@ -169,7 +169,7 @@ def test_estimators_of_whole_passes_smooth_what_was_flown(flown: dict[str, Flown
 
 
 def test_one_that_diverges_ends_its_own_flight_only() -> None:
-    kinds = ["test_loop:Failing", "ekf"]
+    kinds = ["test_closed_loop:Failing", "ekf"]
     failing, ekf = fly_all(short("time.epochs=121"), kinds, seed=3)
     assert failing.track.status == "diverged"
     assert "gave up" in failing.track.message

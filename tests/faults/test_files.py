@@ -14,7 +14,7 @@ from streams import lines_of, write_scenario
 
 from relnav_graph.scenario.build import load_scenario
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[1] / "support"
 Capture = pytest.CaptureFixture[str]
 SHORT = ("--set", "time.epochs=40")
 

@@ -13,7 +13,7 @@ from relnav_graph.core.measurement import InputSeries
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.schema import ScenarioError
 
-ZHANG = Path(__file__).parents[1] / "experiments" / "zhang2015.toml"
+ZHANG = Path(__file__).parents[2] / "experiments" / "zhang2015.toml"
 
 
 def _relnav(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:

@@ -82,8 +82,8 @@ GYRO = {
     },
     "sensors": {"stars": {"kind": "star_tracker", "sigma": 1e-3}},
     "prior": {"chaser_attitude": {"sigma": 1e-2}, "gyro_bias": {"sigma": 1e-4}},
-    "truth": {"kind": "test_loop_inputs:TurningChaser"},
-    "control": {"kind": "test_loop_inputs:TurnHome"},
+    "truth": {"kind": "test_closed_loop_inputs:TurningChaser"},
+    "control": {"kind": "test_closed_loop_inputs:TurnHome"},
     "inputs": {
         "gyro": {
             "kind": "rate_integrating_gyro",

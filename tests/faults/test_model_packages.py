@@ -31,7 +31,7 @@ def register(path: Path, package: str) -> None:
     (info / "entry_points.txt").write_text(f"[relnav_graph.models]\nmine = {package}\n")
 
 
-def test_55_a_stray_file_that_hides_the_models_is_named(tmp_path: Path) -> None:
+def test_row_55_a_stray_file_that_hides_the_models_is_named(tmp_path: Path) -> None:
     stray = tmp_path / "relnav_factors.py"
     stray.write_text("x = 1\n")
     for arguments in (("validate", ZHANG), ("list",)):
@@ -41,13 +41,13 @@ def test_55_a_stray_file_that_hides_the_models_is_named(tmp_path: Path) -> None:
         assert "Traceback" not in done.stderr
 
 
-def test_55_another_package_called_factors_changes_nothing(tmp_path: Path) -> None:
+def test_row_55_another_package_called_factors_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "factors.py").write_text("raise RuntimeError\n")
     done = relnav(tmp_path, "validate", ZHANG)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_55_a_broken_package_of_a_third_party_is_named_and_left_out(tmp_path: Path) -> None:
+def test_row_55_a_broken_package_of_a_third_party_is_named_and_left_out(tmp_path: Path) -> None:
     for package, content in (("gone", None), ("raises", "1 / 0"), ("leaves", "raise SystemExit")):
         path = tmp_path / package
         path.mkdir()
@@ -60,7 +60,7 @@ def test_55_a_broken_package_of_a_third_party_is_named_and_left_out(tmp_path: Pa
             assert f"mine = {package!r} of third-party cannot be imported" in done.stderr
 
 
-def test_55_a_registered_package_without_a_model_is_refused(tmp_path: Path) -> None:
+def test_row_55_a_registered_package_without_a_model_is_refused(tmp_path: Path) -> None:
     register(tmp_path, "hollow")
     (tmp_path / "hollow.py").write_text("x = 1\n")
     done = relnav(tmp_path, "validate", ZHANG)

@@ -71,8 +71,8 @@ def sizes(blocks: tuple[Block, ...], regime: str) -> Array:
 def test_every_model_has_an_example() -> None:
     missing = sorted(set(MODELS) - set(EXAMPLES))
     assert not missing, (
-        f"no example of {missing}: add one to EXAMPLES in tests/examples.py, under the kind of"
-        " the model, as SensorExample, DynamicsExample or DerivedExample, and every test here"
+        f"no example of {missing}: add one to EXAMPLES in tests/support/examples.py, under the kind"
+        " of the model, as SensorExample, DynamicsExample or DerivedExample, and every test here"
         " will run on it"
     )
     assert not set(EXAMPLES) - set(MODELS), "an example of a kind that no package registers"

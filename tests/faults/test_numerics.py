@@ -40,7 +40,7 @@ def _raise(error: BaseException) -> Callable[..., Any]:
 
 #: Where a step may be struck: before the update, in it, and after it.
 PLACES: dict[str, list[str]] = {
-    "iekf": ["ekf.filter_epochs", "health.Monitor.after"],
+    "iekf": ["ekf.filter_epochs", "online.monitor.Monitor.after"],
     "fixed_lag": ["ekf.filter_epochs", "window.linearize", "fixed_lag.solve_gated"],
     "isam2": ["ekf.filter_epochs", "isam2._insert", "isam2.IncrementalSmoother._extend"],
 }

@@ -19,7 +19,7 @@ from streams import RELNAV, SCENARIO, changed, feed, lines_of, session_of, write
 
 from relnav_graph.scenario.build import load_scenario
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[1] / "support"
 Capture = pytest.CaptureFixture[str]
 
 

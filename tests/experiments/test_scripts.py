@@ -15,7 +15,7 @@ from relnav_graph.study.conduct import do_runs
 from relnav_graph.study.folder import StudyFolder
 from relnav_graph.study.runs import StudySpec
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 
 
 def _script(name: str) -> ModuleType:

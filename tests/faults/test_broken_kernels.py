@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from broken_runs import run_broken
 from passes import ONE_ID, PRIOR, PROCESSES
-from test_broken_models import run_broken
 from toy_model import PositionFix, ThermalDrift
 
 from relnav_graph.arrays import Array

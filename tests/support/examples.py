@@ -1,8 +1,8 @@
 """One or more examples of every model, for the tests that walk all models.
 
-To add a model, add its kind to `EXAMPLES` below: instances that together use every option
-of the model, and, for a process model, the diffusion of its white noise. States and inputs
-are drawn from `draws.SCALES`; a sensor that needs a sensible geometry brings its own `draw`.
+To add a model, add its kind to `EXAMPLES` below: instances that together use every option, and,
+for a process, the diffusion of its white noise. States and inputs are drawn from
+`draws.SCALES`; a sensor that needs a sensible geometry brings its own `draw`.
 """
 
 from __future__ import annotations
@@ -13,12 +13,8 @@ from typing import Any
 
 import numpy as np
 from draws import PLACES, Draw, draw_block, draw_blocks
+from relnav_factors.derived import relative_pose
 from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios, InertiaRatios
-from relnav_factors.derived.relative_pose import (
-    PositionInTarget,
-    RelativeAttitude,
-    TargetRateInChaser,
-)
 from relnav_factors.dynamics.accelerometer_bias import AccelerometerBias
 from relnav_factors.dynamics.body_velocity import BodyVelocity
 from relnav_factors.dynamics.earth_sensor_bias import EarthSensorBias
@@ -395,7 +391,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     ),
     "inertia_matrix_ratios": (DerivedExample(InertiaMatrixRatios()),),
     "inertia_ratios": (DerivedExample(InertiaRatios()),),
-    "position_in_target": (DerivedExample(PositionInTarget()),),
-    "relative_attitude": (DerivedExample(RelativeAttitude()),),
-    "target_rate_in_chaser": (DerivedExample(TargetRateInChaser()),),
+    "position_in_target": (DerivedExample(relative_pose.PositionInTarget()),),
+    "relative_attitude": (DerivedExample(relative_pose.RelativeAttitude()),),
+    "target_rate_in_chaser": (DerivedExample(relative_pose.TargetRateInChaser()),),
 }
