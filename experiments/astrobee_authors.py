@@ -17,9 +17,9 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.models import derived_quantities
-from relnav_graph.estimators import run_estimator
 from relnav_graph.io.readers import read_raw
 from relnav_graph.io.readers.astrobee_tumble import authors_rate
+from relnav_graph.runs.comparison import compare
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scoring.metrics import errors, with_smoothed
 
@@ -44,10 +44,9 @@ def main(folder: Path, run: str = "") -> dict[str, tuple[float, float]]:
     options = {**scenario.file.data.options, "run": run}
     recording = read_raw(scenario.file.data.reader, folder, options)
     assert recording.truth is not None
-    problem = scenario.problem(recording, 0)
     derived = derived_quantities(scenario.layout)
-    tracks = [run_estimator(kind, problem) for kind in ("iekf", "isam2", "batch")]
-    for name, track in with_smoothed(tracks).items():
+    made = compare(scenario, ("iekf", "isam2", "batch"), seed=0, data=recording)
+    for name, track in with_smoothed(made.tracks).items():
         rate = errors(track, recording.truth, derived)["target_rate"]
         found[name] = rms(rate.e, rate.t)
     print("rate of the target, deg/s RMS    whole pass    after 30 s")

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from relnav_graph.core.models import derived_quantities
-from relnav_graph.estimators import run_estimator
+from relnav_graph.runs.comparison import compare
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scoring.metrics import score, with_smoothed
 
@@ -31,13 +31,11 @@ def main(passes: int = 16, epochs: int = 200) -> dict[str, list[float]]:
     for seed in range(passes):
         rate = [f"{w} deg/s" for w in rng.normal(0, 3, 3)]
         scenario = load_scenario(SCENARIO, [f"time.epochs={epochs}", f"truth.target_rate={rate}"])
-        recording = scenario.simulate(seed)
-        problem = scenario.problem(recording, seed)
-        derived = derived_quantities(scenario.layout)
-        assert recording.truth is not None
-        tracks = [run_estimator(kind, problem) for kind in ("iekf", "isam2", "batch")]
-        for name, track in with_smoothed(tracks).items():
-            result = score(track, recording.truth, derived)
+        made = compare(scenario, ("iekf", "isam2", "batch"), seed=seed)
+        truth, derived = made.truths[0], derived_quantities(scenario.layout)
+        assert truth is not None
+        for name, track in with_smoothed(made.tracks).items():
+            result = score(track, truth, derived)
             found.setdefault(name, []).append(result.anees or np.inf)
             error = result.states["relative_attitude"].rmse
             errors.setdefault(name, []).append(np.inf if error is None else error)

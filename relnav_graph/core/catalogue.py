@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from relnav_graph.core.state import Block
 
-# The catalogue: blocks that several models share. A model may declare others in its own
-# file. o is the orbital frame of the target, or, where a scenario has no orbit, a frame
-# that does not rotate.
 CHASER_ATTITUDE = Block("chaser_attitude", "R_oc", "SO3", 3, "rad", "oc", "deg")
 TARGET_ATTITUDE = Block("target_attitude", "R_ot", "SO3", 3, "rad", "ot", "deg")
 RELATIVE_ATTITUDE = Block("relative_attitude", "R_tc", "SO3", 3, "rad", "tc", "deg")
@@ -26,8 +23,8 @@ TARGET_RATE = Block("target_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
 BODY_RATE = Block("body_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
 GYRO_BIAS = Block("gyro_bias", "b_c", "vector", 3, "rad/s", "c", "deg/h")
 ACCELEROMETER_BIAS = Block("accelerometer_bias", "b_f_c", "vector", 3, "m/s^2", "c", "m/s^2")
-#: The same bias as a second estimator of it finds it: the chaser's own navigation beside the
-#: relative one.
+#: The same bias as the chaser's own (absolute) navigation estimates it, beside the relative
+#: navigation's estimate.
 ABSOLUTE_ACCELEROMETER_BIAS = Block(
     "absolute_accelerometer_bias", "b_F_c", "vector", 3, "m/s^2", "c", "m/s^2"
 )

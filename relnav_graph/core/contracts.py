@@ -29,7 +29,12 @@ Kernel = Callable[..., Any]
 
 @runtime_checkable
 class Sensor(Protocol):
-    """A measurement model h. Residuals are prediction minus measured, as in GTSAM."""
+    """A measurement model h. Residuals are prediction minus measured, as in GTSAM.
+
+    Everywhere below: x, one value per block of `reads`, (3, 3) for an attitude and (dim,)
+    for a vector, in the block's SI unit and frame; ids (k,), which beacon or point each
+    observation is of; z (k, nz), in the units that `columns` name.
+    """
 
     kind: ClassVar[str]
     #: Names of the components of z, with units: the columns of the sensor's table.
@@ -46,14 +51,14 @@ class Sensor(Protocol):
         """Blocks that the model reads, in the order of its arguments."""
 
     def constants(self) -> Array:
-        """p of the kernel."""
+        """p of the kernel, (np,): numbers of the sensor itself, SI."""
 
     def observation_data(self, ids: Indices) -> Array:
-        """q of the kernel, (k, nq): what belongs to each observation. Raises InputError
-        on an id that the sensor does not know."""
+        """q of the kernel, (k, nq), SI: what belongs to each observation, such as the place of
+        its beacon. Raises InputError on an id that the sensor does not know."""
 
     def observables(self) -> Indices:
-        """Ids that a simulated sensor looks for."""
+        """Ids (k,) that a simulated sensor looks for."""
 
     def accept(self, z: Array) -> Array:
         """Measured values z (k, nz) as the kernel wants them. Raises InputError on values
@@ -63,27 +68,38 @@ class Sensor(Protocol):
         """The sensor as it is at time t, s, for the simulator: transmitters may move."""
 
     def in_view(self, ids: Indices, *x: Array) -> Indices:
-        """Those of the ids that are worth a try in simulation."""
+        """Those of the ids (k,) that a simulated sensor should try to see at the state x."""
 
     def predict(self, ids: Indices, *x: Array) -> Array:
-        """z (k, nz) without noise, from one value per block read. Raises GeometryError."""
+        """z (k, nz) without noise at the state x. Raises GeometryError when an observation
+        is impossible there."""
 
     def perturb(self, z: Array, e: Array) -> Array:
-        """z (k, nz) moved by residual noise e (k, rows), for the simulator."""
+        """z (k, nz) with noise e (k, rows) added, in the units of the residual, for the
+        simulator."""
 
     def noise(self, m: Measurement) -> Array:
-        """R (k, rows, rows) of each observation."""
+        """Covariance R (k, rows, rows) of each observation's residual."""
 
     def failure(self, status: int) -> str:
         """What a non-zero status of the kernel means."""
 
     def residual(self, m: Measurement, *x: Array) -> tuple[Array, tuple[Array, ...]]:
-        """r (k rows,) and its Jacobian to each block (k rows, dim). Raises GeometryError."""
+        """r (k * rows,) and its Jacobian to the tangent of each block, (k * rows, dim).
+
+        Not whitened. Raises GeometryError when an observation is impossible at the state x.
+        """
 
 
 @runtime_checkable
 class Dynamics(Protocol):
-    """A process model: advances some blocks over an interval, reading maybe others."""
+    """A process model: advances some blocks over an interval, reading maybe others.
+
+    Everywhere below: x, one value per block, those of `advances` and then of `reads`, (3, 3)
+    for an attitude and (dim,) for a vector, SI, in the block's frame, at the start of the
+    interval; t: that start, s; u (rows, 1 + channels): one row per sub-interval, its length in
+    s and then the mean of each input over it, SI.
+    """
 
     kind: ClassVar[str]
     #: The inputs (gyro, accelerometer), each a known mean over sub-intervals: the columns
@@ -105,22 +121,28 @@ class Dynamics(Protocol):
         """Blocks that it only reads; after the advanced ones."""
 
     def constants(self) -> Array:
-        """p of the kernel."""
+        """p of the kernel, (np,): numbers of the process itself, SI."""
 
     def failure(self, status: int) -> str:
         """What a non-zero status of the kernel means."""
 
     def condense(self, u: Array) -> Array:
-        """The rows of an interval as fewer, where that changes nothing: an epoch keeps them."""
+        """u (rows, 1 + channels) with sub-intervals joined where that leaves the model's result
+        the same: an epoch stores what this gives."""
 
     def propagate(self, t: float, u: Array, *x: Array) -> tuple[Array, ...]:
-        """The advanced blocks at the end of the interval."""
+        """Values of the advanced blocks at the end of the interval, (3, 3) or (dim,) each."""
 
     def transition(self, t: float, u: Array, *x: Array) -> tuple[tuple[Array, ...], Array, Array]:
-        """The advanced blocks, F (to all blocks, advanced first) and Q."""
+        """Values of the advanced blocks at the end of the interval, F and Q.
+
+        With n the tangent dimension of the advanced blocks: F (n, n + tangent dimension of the
+        blocks read), their Jacobian to the tangents of x; Q (n, n), covariance of the noise.
+        """
 
     def caution(self, length: float, *x: Array) -> str:
-        """What cannot be told apart over an interval of `length` s at this state, or ""."""
+        """A warning, or "": what an interval of `length` s leaves ambiguous at the state x, such
+        as an aliased rate. x: (3, 3) or (dim,) per block."""
 
 
 @runtime_checkable
@@ -132,21 +154,28 @@ class Derived(Protocol):
     reads: ClassVar[tuple[Block, ...]]
 
     def value(self, *x: Array) -> tuple[Array, Array]:
-        """The value, and d(tangent of the value) / d(tangents of the blocks read)."""
+        """The value, and d(tangent of the value) / d(tangents of the blocks read).
+
+        x: one value per block of `reads`, (3, 3) or (dim,), SI, in the block's frame. Value:
+        (3, 3) or (dim,), in the unit and frame of `block`; Jacobian: (dim, sum of dims read).
+        """
 
 
-# What a model may offer besides. Who needs one of these asks for it by its Protocol.
+# Optional abilities of a model. Code that needs one tests for it by isinstance.
 
 
 @runtime_checkable
 class ProposesStarts(Protocol):
-    """A sensor one look of which suggests values of blocks, to start an estimate from."""
+    """A sensor of which one measurement suggests values of blocks, to start an estimate from."""
 
     def starts(
         self, ids: Indices, z: Array, known: Mapping[str, Array]
     ) -> Iterator[dict[str, Array]]:
-        """Hypotheses, values by block name, of observations ids (k,) and z (k, nz); known: of
-        the other blocks."""
+        """Hypotheses from observations ids (k,) and z (k, nz), each as values by block name.
+
+        Values, and those in `known` of the other blocks: (3, 3) or (dim,), SI, in the block's
+        frame.
+        """
 
 
 @runtime_checkable
@@ -154,7 +183,10 @@ class NamesDirections(Protocol):
     """A model that can name directions of the state in which its information is weak."""
 
     def directions(self, *x: Array) -> Mapping[str, tuple[Array, ...]]:
-        """By name: for each block that the model reads, tangents (dim, k) of k directions."""
+        """By name, for each block that the model reads, tangents (dim, k) of k directions.
+
+        x: one value per block, (3, 3) or (dim,), SI, in the block's frame.
+        """
 
 
 @runtime_checkable

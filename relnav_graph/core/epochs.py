@@ -23,7 +23,8 @@ __all__ = [
 class Epoch:
     """A time, what was measured then, and the inputs since the epoch before.
 
-    inputs: for each process, u (rows, 1 + channels) as its kernel wants it.
+    t: s; inputs: for each process by name, u (rows, 1 + channels): one row per sub-interval,
+    its length in s, then the mean of each input over it, SI.
     """
 
     t: float
@@ -65,7 +66,9 @@ def check_epoch(
 def process_inputs(
     process: Dynamics, series: Mapping[str, InputSeries], t0: float, t1: float
 ) -> Array:
-    """u (rows, 1 + channels) of a process over [t0, t1]; one row when it has no inputs.
+    """u (rows, 1 + channels) of a process over [t0, t1], s; one row when it has no inputs.
+
+    Each row: length of the sub-interval, s, then the mean of each input over it, SI.
 
     Raises InputError when an input is missing or does not cover the interval.
     """
@@ -94,7 +97,7 @@ def make_epochs(
     inputs: Mapping[str, InputSeries],
     times: Array | None = None,
 ) -> tuple[Epoch, ...]:
-    """Epochs at the times of the measurements, or at `times`, which must contain them.
+    """Epochs at the times of the measurements, or at `times` (N,), s, which must contain them.
 
     Measurements within a microsecond are of one epoch. Raises InputError on measurements
     that fall between given times, and when inputs do not cover an interval.

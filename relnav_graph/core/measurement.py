@@ -19,8 +19,9 @@ __all__ = [
 class Measurement:
     """What one sensor saw at one time: k observations of the same kind.
 
-    sensor: name in the problem; t: time of validity, s; z: (k, nz) measured values;
-    ids: (k,) which beacon or point each row belongs to; t_arrival: when it became known.
+    sensor: name in the problem; t: time of validity, s; z: (k, nz) measured values, in the
+    units that the sensor's `columns` name and the frame that the sensor says; ids: (k,) which
+    beacon or point each row belongs to; t_arrival: when it became known, s.
     Raises InputError on a value that is not finite or on sizes that do not match.
     """
 
@@ -56,7 +57,10 @@ SAME_TIME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class InputSeries:
-    """A known input: the mean of `values` (n, channels) over each [t_start, t_end], s.
+    """A known input (gyro, accelerometer): its means over n intervals.
+
+    t_start, t_end (n,): where each interval begins and ends, s; values (n, channels): the mean
+    over it, SI, in the frame that the process says (for a gyro, the axes c of the chaser).
 
     Raises InputError on values that are not finite and on intervals that overlap or run
     backwards.
@@ -83,8 +87,10 @@ class InputSeries:
             raise InputError(f"input {self.name!r}: intervals overlap or run backwards at {t} s")
 
     def over(self, t0: float, t1: float) -> tuple[Array, Array]:
-        """Edges (k + 1,) and values (k, channels) covering [t0, t1]. Raises InputError
-        where there is no sample."""
+        """Edges (k + 1,), s, and values (k, channels) of the samples that cover [t0, t1].
+
+        Raises InputError where there is no sample.
+        """
         tolerance = SAME_TIME
         i = int(np.searchsorted(self.t_end, t0 + tolerance, side="right"))
         j = int(np.searchsorted(self.t_start, t1 - tolerance, side="left"))

@@ -30,10 +30,14 @@ ENTRY_POINTS = "relnav_graph.models"
 
 
 class DerivedQuantity:
-    """Mixin: `Derived.value` from `values`, the same over a whole pass at once."""
+    """Mixin: `Derived.value` made of `values`, which treats a whole pass at once."""
 
     def values(self, *x: Array) -> tuple[Array, Array]:
-        """`value` at N epochs: one more axis in front of everything."""
+        """Values and Jacobians at N epochs.
+
+        x: (N, 3, 3) or (N, dim) per block read, SI, in the block's frame. Value: (N, 3, 3) or
+        (N, dim); Jacobian: (N, dim, sum of dims read). See `Derived.value`.
+        """
         raise NotImplementedError
 
     def value(self, *x: Array) -> tuple[Array, Array]:
@@ -50,7 +54,9 @@ def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:
 
 
 def check_inputs(where: str, inputs: Mapping[str, tuple[str, ...]], u: Any) -> Array:
-    """u (rows, 1 + columns of all inputs) of an interval, C-contiguous float64.
+    """The inputs u (rows, 1 + channels) of an interval, as C-contiguous float64.
+
+    Each row: length of the sub-interval, s, then all inputs in their order, SI.
 
     Raises InputError on another shape, values that are not finite, lengths that are not
     positive.
@@ -65,7 +71,7 @@ def check_inputs(where: str, inputs: Mapping[str, tuple[str, ...]], u: Any) -> A
 
 
 class _Outputs:
-    """Guarded arrays for a kernel called from Python, and the check of what it did."""
+    """Arrays for a kernel to fill, with guard numbers around them that show an overrun."""
 
     def __init__(self, kind: str, **shapes: tuple[int, ...]) -> None:
         self.kind, self.shapes = kind, shapes
@@ -136,7 +142,9 @@ class SensorModel:
         return self.failures.get(status, f"status {status}")
 
     def residual(self, m: Measurement, *x: Array) -> tuple[Array, tuple[Array, ...]]:
-        """r (k rows,) and its Jacobian to each block (k rows, dim).
+        """r (k * rows,) and its Jacobian to the tangent of each block, (k * rows, dim).
+
+        x: one value per block read, (3, 3) or (dim,), SI, in the block's frame.
 
         Raises GeometryError when an observation is impossible at this state, InputError
         on values of the wrong shape, ModelError when the kernel leaves an entry unfilled.
@@ -187,18 +195,19 @@ class DynamicsModel:
         return self.failures.get(status, f"status {status}")
 
     def condense(self, u: Array) -> Array:
-        """All rows as they are, unless a model says otherwise."""
+        """u (rows, 1 + channels) as it is, unless a model says otherwise."""
         return u
 
     def caution(self, length: float, *x: Array) -> str:
-        """Nothing to be cautious of, unless a model says so."""
+        """No warning, unless a model gives one. x: (3, 3) or (dim,) per block, SI."""
         return ""
 
     def transition(self, t: float, u: Array, *x: Array) -> tuple[tuple[Array, ...], Array, Array]:
         """The advanced blocks at the end of the interval, F and Q.
 
         t: start, s; u: (rows, 1 + channels), one row per sub-interval: its length in s,
-        then the inputs that hold in it. F: (n, n + reads), in tangent coordinates, the
+        then the inputs that hold in it, SI. x: one value per block, advanced ones first, (3, 3)
+        or (dim,), SI, in the block's frame. F: (n, n + dims read), in tangent coordinates, the
         advanced blocks first; Q: (n, n) covariance of the advanced blocks' noise.
         Raises InputError on values of the wrong shape, ModelError when the kernel leaves
         an entry unfilled, GeometryError when the interval cannot be propagated.
@@ -223,7 +232,7 @@ class DynamicsModel:
 
 
 def derived_quantities(layout: Layout) -> list[Derived]:
-    """All known derived quantities whose blocks stand in `layout`, and which do not."""
+    """All known derived quantities that `layout` has the blocks for, but not as a block."""
     return [
         cls()
         for cls in classes(ENTRY_POINTS).values()

@@ -1,4 +1,4 @@
-"""Epochs that change after the fact, and epochs as plain arrays."""
+"""Epochs changed by late or repeated measurements, and epochs as plain arrays for saving."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ def without_repeats(epoch: Epoch) -> tuple[Epoch, Repeats]:
 
 
 def split(u: Array, length: float) -> tuple[Array, Array]:
-    """An interval's inputs u (rows, 1 + channels) cut in two after `length` s."""
+    """An interval's inputs u (rows, 1 + channels) cut in two after `length` s.
+
+    Both parts have the same columns: length of the sub-interval, s, then the inputs, SI.
+    """
     ends = np.cumsum(u[:, 0])
     starts = ends - u[:, 0]
     before, after = u[starts < length - SAME_TIME].copy(), u[ends > length + SAME_TIME].copy()
@@ -67,9 +70,11 @@ def merged(epochs: Sequence[Epoch], m: Measurement) -> list[Epoch]:
 def held(
     last: Mapping[str, Array], processes: Mapping[str, Dynamics], length: float
 ) -> dict[str, Array]:
-    """Inputs over `length` s for every process: the last ones go on.
+    """Inputs over `length` s for every process, with the last known values held.
 
-    Raises InputError when a process has inputs and none was seen yet.
+    last: by process, u (rows, 1 + channels), of which the last row counts. Result: by process,
+    u (1, 1 + channels): the length in s, then the inputs, SI. Raises InputError when a process
+    has inputs and none was seen yet.
     """
     out = {}
     for name, process in processes.items():
@@ -84,7 +89,12 @@ def held(
 
 
 def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
-    """Epochs as plain arrays, by name; `unpack` gives the same again."""
+    """Epochs as plain arrays, by name; `unpack` gives the same again.
+
+    times (N,), s; of measurement j of epoch k: ``k.z.j.sensor`` (m, nz), ``k.ids.j.sensor``
+    (m,) and ``k.stamps.j.sensor`` (2,): time and arrival, s, NaN where not known; of its
+    inputs: ``k.u.process`` (rows, 1 + channels).
+    """
     out = {"times": np.array([e.t for e in epochs])}
     for k, epoch in enumerate(epochs):
         for j, m in enumerate(epoch.measurements):
@@ -99,12 +109,12 @@ def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
 
 
 def under(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
-    """The arrays whose names begin with `prefix`, without it."""
+    """The arrays whose names begin with `prefix`, by the rest of the name; of any shape."""
     return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
 def unpack(arrays: Mapping[str, Array]) -> list[Epoch]:
-    """The epochs that `pack` made arrays of."""
+    """The epochs that `pack` made `arrays` of: times (N,), z (m, nz) and so on."""
     measurements: dict[int, dict[int, Measurement]] = {}
     inputs: dict[int, dict[str, Array]] = {}
     for key, value in arrays.items():

@@ -26,7 +26,8 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Mean x (stored vector) and covariance P (tangent) at the first epoch.
+    """Mean x (size,), a stored vector, and covariance P (n, n), in tangent coordinates, at the
+    first epoch; SI, in the order of the layout.
 
     Raises InputError when x is not finite or P not symmetric positive definite.
     """
@@ -41,7 +42,7 @@ class Prior:
 
 
 def check_covariance(where: str, P: Array) -> None:
-    """Raise InputError unless P is finite, symmetric and positive definite."""
+    """Raise InputError unless P (n, n) is finite, symmetric and positive definite."""
     P = np.asarray(P)
     if P.ndim != 2 or P.shape[0] != P.shape[1] or not np.isfinite(P).all():
         raise InputError(f"covariance of {where}: found {P.shape}, expected finite and square")

@@ -72,8 +72,11 @@ class Block:
         return stored.reshape(*stored.shape[:-1], 3, 3) if self.manifold == "SO3" else stored
 
     def pack(self, value: Any) -> Array:
-        """The inverse of :meth:`unpack`, for one value. Raises InputError when the shape
-        is wrong, a number is not finite, or a matrix is not a rotation within 1e-6."""
+        """Stored values (size,) of one value, (3, 3) for an attitude, else (dim,), SI.
+
+        The inverse of :meth:`unpack`. Raises InputError when the shape is wrong, a number is
+        not finite, or a matrix is not a rotation within 1e-6.
+        """
         array = np.ascontiguousarray(value, dtype=np.float64)
         shape = (3, 3) if self.manifold == "SO3" else (self.dim,)
         if array.shape != shape or not np.isfinite(array).all():
@@ -83,7 +86,11 @@ class Block:
         return array.reshape(-1)
 
     def local(self, a: Array, b: Array) -> Array:
-        """Tangent vectors (..., dim) from values `a` to values `b`, both of one shape."""
+        """Tangent vectors (..., dim) from values `a` to values `b`, (..., 3, 3) or (..., dim).
+
+        ``Log(a^T b)``, rad, for attitudes, ``b - a`` for vectors. Raises InputError on two
+        different shapes.
+        """
         if a.shape != b.shape:
             raise InputError(f"{self.name}: found shapes {a.shape} and {b.shape}, expected one")
         if self.manifold == "SO3":
@@ -173,7 +180,7 @@ class Layout:
 
     @cached_property
     def identity(self) -> Array:
-        """The stored vector of identity attitudes and zero vectors."""
+        """The stored vector (size,) of identity attitudes and zero vectors."""
         x = np.zeros(self.size)
         for block in self.blocks:
             if block.manifold == "SO3":
@@ -181,25 +188,29 @@ class Layout:
         return x
 
     def gather(self, blocks: Iterable[Block]) -> tuple[Indices, Indices]:
-        """Indices of `blocks`, one after the other, in the stored and the tangent vector."""
+        """Indices of `blocks`, one after the other: (s,) in the stored vector, (d,) in the tangent
+        vector, with s the sum of their sizes and d that of their dims."""
         names = [block.name for block in blocks]
         stored = [np.arange(self.size)[self.stored(n)] for n in names]
         tangent = [np.arange(self.dim)[self.tangent(n)] for n in names]
         return np.concatenate(stored), np.concatenate(tangent)
 
     def pack(self, values: Mapping[str, Any]) -> Array:
-        """Stored vector of a value per block. Raises InputError on a missing block."""
+        """Stored vector (size,) of a value per block, (3, 3) or (dim,), SI.
+
+        Raises InputError on a missing block.
+        """
         missing = [b.name for b in self.blocks if b.name not in values]
         if missing:
             raise InputError(f"no value for {missing}")
         return np.concatenate([b.pack(values[b.name]) for b in self.blocks])
 
     def value(self, x: Array, name: str) -> Array:
-        """Value of one block in stored vectors (..., size)."""
+        """Value of one block in stored vectors x (..., size): (..., 3, 3) or (..., dim), SI."""
         return self.block(name).unpack(x[..., self.stored(name)])
 
     def values(self, x: Array) -> dict[str, Array]:
-        """Value of each block by name."""
+        """Value of each block in stored vectors x (..., size), by name; see :meth:`value`."""
         return {b.name: self.value(x, b.name) for b in self.blocks}
 
     def retract(self, x: Array, d: Array) -> Array:
@@ -233,9 +244,9 @@ class Layout:
             )
 
     def right_jacobian(self, d: Array) -> Array:
-        """J with ``x (+) (d + e) = (x (+) d) (+) J e`` to first order, (dim, dim)."""
+        """J (dim, dim) with ``x (+) (d + e) = (x (+) d) (+) J e`` to first order, of d (dim,)."""
         return block_jacobian(d, self.kinds, False)
 
     def right_jacobian_inverse(self, d: Array) -> Array:
-        """Inverse of :meth:`right_jacobian`."""
+        """Inverse (dim, dim) of :meth:`right_jacobian` at d (dim,)."""
         return block_jacobian(d, self.kinds, True)

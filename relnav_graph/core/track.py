@@ -97,8 +97,8 @@ class Track:
 class Truth:
     """True values of blocks (and of derived quantities) at times t (N,).
 
-    values: by name, (N, 3, 3) or (N, dim), NaN where not known; source: where it is
-    from. A truth may know fewer blocks than an estimator has.
+    values: by name, (N, 3, 3) or (N, dim), SI, in the block's frame, NaN where not known;
+    source: where it is from. A truth may know fewer blocks than an estimator has.
     """
 
     t: Array
@@ -106,8 +106,8 @@ class Truth:
     source: str = ""
 
     def at(self, times: Array) -> tuple[Indices, NDArray[np.bool_]]:
-        """Where the truth at `times` (M,), s, stands: rows (M,), the nearest ones, and which
-        of them are of that time, within `SAME_TIME`."""
+        """Rows (M,) of the truth that are nearest to `times` (M,), s; and a mask (M,): which of
+        them are of that time, within `SAME_TIME`."""
         if not len(self.t):
             return np.zeros(len(times), np.int64), np.zeros(len(times), np.bool_)
         rows = np.clip(np.searchsorted(self.t, times), 0, len(self.t) - 1)

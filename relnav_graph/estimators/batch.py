@@ -45,7 +45,8 @@ __all__ = ["UNSOLVED", "Batch", "Solution", "at_rounding", "solve"]
 class Solution:
     """Trajectory x (N, size), the conditionals there, the final cost and step.
 
-    status, weights: of the observations; distance: length of the last Gauss-Newton step,
+    status (observations,): not 0 for one impossible there; weights (observations,): square
+    roots of their weights; distance: length of the last Gauss-Newton step,
     in sigmas over all states.
     """
 
@@ -60,9 +61,9 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """A pass with everything but the trajectory decided.
+    """A pass with everything fixed but the trajectory.
 
-    made: the conditionals of all systems so far, to be filled again.
+    made: the conditionals of all systems so far, memory that is used again.
     """
 
     assembly: Assembly
@@ -72,7 +73,10 @@ class _Pass:
     made: list[Conditionals] = field(default_factory=list)
 
     def at(self, x: Array, needed: Sequence[System] = (), damping: Array | None = None) -> System:
-        """The system at x; of those before, only the needed ones are still good after it."""
+        """The system at x (N, size); overwrites all earlier systems but the `needed` ones.
+
+        damping: (N, n), see `linearize`.
+        """
         kept = [system.conditionals for system in needed]
         free = [c for c in self.made if all(c is not one for one in kept)]
         models = self.assembly, self.anchor
@@ -84,7 +88,7 @@ class _Pass:
         return system
 
     def damped(self, system: System, damping: float) -> Conditionals:
-        """The same system with Levenberg's rows, in units of each state's own sigma.
+        """The same system with Levenberg's damping, in units of each state's own sigma.
 
         Scaled by the diagonal of the information, as is usual, damping would freeze the weak
         directions, which many states share: there a state's own sigma is large.
@@ -107,8 +111,10 @@ class _Pass:
 
 
 def at_rounding(distance: float, before: float, states: int) -> bool:
-    """Whether the length of a Gauss-Newton step, in sigmas over all states together, is that
-    of rounding; before: the length of the one before."""
+    """Whether a Gauss-Newton step is mere rounding, by its length, in sigmas over all states.
+
+    before: the length of the step before.
+    """
     stalled = distance > STALLED * before and _is_small(distance, states)
     return distance < ROUNDING or stalled
 
@@ -127,7 +133,9 @@ def solve(
     tolerance: float = 1e-3,
     max_iterations: int = 50,
 ) -> Solution:
-    """Minimise the whole cost from the trajectory x (N, size).
+    """Minimise the whole cost from the trajectory x (N, size), stored vectors.
+
+    weights: (observations,), square roots of the weights, held fixed.
 
     Steps are Gauss-Newton's. In a narrow, bent valley a good one may raise the cost
     before the next lowers it, so two may (the watchdog of Chamberlain et al. 1982);
@@ -178,12 +186,15 @@ def solve_gated(
     tolerance: float = 1e-3,
     anchor: Anchor | None = None,
 ) -> Solution:
-    """`solve`, then weigh the observations anew (gates and robust losses), until that stays.
+    """`solve`, with the weights of gates and robust losses renewed until they stay the same.
 
-    Where something was rejected, or a loss redescends, there are many minima; one way there
-    is by Huber's loss, which has one minimum, so that what to leave out is decided at a robust
-    estimate. With gates alone the direct way is gone too, and the better end taken.
-    anchor: instead of the problem's prior.
+    x (N, size): trajectory to start from; weights (observations,): square roots of the weights
+    to start with; anchor: instead of the problem's prior.
+
+    Where something was rejected, or a loss redescends, there are many minima. Then the problem
+    is solved with Huber's loss first, which has one minimum, so that what to leave out is decided
+    at a robust estimate. With gates alone it is also solved without that detour, and the better
+    of the two results is taken.
     """
     prior = problem.prior if anchor is None else anchor
     solution = solve(assembly, prior, x, weights, tolerance=tolerance)

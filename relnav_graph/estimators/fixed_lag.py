@@ -59,7 +59,7 @@ ROUNDS = 5
 
 
 class FixedLagEngine:
-    """The window's way from epoch to epoch.
+    """Carries the window of the smoother from epoch to epoch.
 
     length: of the window, s; None for `EPOCHS` epochs. tolerance: of `solve_gated`.
     """
@@ -106,8 +106,11 @@ class FixedLagEngine:
         return self._without_old(replace(window, x=x, P=P, done=done, left=None))
 
     def _extended(self, w: Window, newest: Array) -> Window | None:
-        """The window linearised anew only where it must be; None when that is not enough:
-        another observation is to count, or not, or the way to the minimum is long."""
+        """The window relinearised only where it must be.
+
+        newest (size,): first estimate of the newest epoch. None when that is not enough: when
+        the gates now decide otherwise, or the minimum is far.
+        """
         if self.problem.losses:  # each step changes every weight a little
             return None
         layout, old = self.problem.layout, w.chain
@@ -128,7 +131,7 @@ class FixedLagEngine:
         return None
 
     def _fits(self, w: Window) -> bool:
-        """Whether the gates, by the residuals of the window, leave out what is left out."""
+        """Whether the gates, at the window's residuals, still leave out the same observations."""
         before = np.concatenate(w.weights)
         if w.chain is None or (not self.problem.gates and before.min(initial=1.0) == 1):
             return True
@@ -138,13 +141,13 @@ class FixedLagEngine:
         return bool((weights == before).all())
 
     def solve(self, w: Window, x: Array) -> Solution:
-        """The minimum over the window from x (K, size) on, with weights taken anew and steps
-        damped."""
+        """The minimum over the window, searched for from x (K, size) with damped steps and
+        weights renewed."""
         weights = np.concatenate(w.weights)
         return solve_gated(w.joined, self.problem, x, weights, self.tolerance, w.anchor)
 
     def _solved(self, w: Window, newest: Array) -> Window:
-        """The window at its minimum, reached from afar. Raises EstimationError when there is
+        """The window at its minimum, by a full search. Raises EstimationError when there is
         none."""
         old = [] if w.chain is None else [w.chain.estimates(self.problem.layout)]
         try:
@@ -158,7 +161,7 @@ class FixedLagEngine:
             ) from error
 
     def _without_old(self, w: Window) -> Window:
-        """Leave the epochs that are too old to a summary at the newest of them."""
+        """Replace the epochs that are too old by a linear summary at the newest of them."""
         if self.length is None:
             gone = max(len(w.parts) - EPOCHS, 0)
         else:
@@ -185,7 +188,13 @@ class FixedLagEngine:
         )
 
     def save(self, state: Window) -> dict[str, Array]:
-        """The window as plain arrays; its epochs among them."""
+        """The window and its epochs as plain arrays by name.
+
+        t (), s, NaN before the first epoch; x (size,), P (n, n): the newest state; anchor (size,),
+        W (n, n), d (n,): the anchor's state, matrix and vector; chain (K, size): where the states
+        are linearised; ``weights.k`` (observations,); before (1,), s: start of the first interval,
+        (0,) without one; ``epochs.*``: see `relnav_graph.core.packing.pack`.
+        """
         t = np.array(np.nan if state.t is None else state.t)
         a = state.anchor
         out = {"t": t, "W": a.W, "d": a.d, "anchor": a.x, "x": state.x, "P": state.P}
@@ -196,7 +205,7 @@ class FixedLagEngine:
         return out | {"before": before} | {f"epochs.{k}": v for k, v in pack(state.epochs).items()}
 
     def load(self, arrays: Mapping[str, Array]) -> Window:
-        """The window again."""
+        """The window that `save` made `arrays` of: x (size,), P (n, n) and so on."""
         p, a = self.problem, {name: np.array(array) for name, array in arrays.items()}
         epochs = unpack(under(a, "epochs."))
         first = float(a["before"][0]) if len(a["before"]) else None

@@ -63,7 +63,8 @@ def _insert(tree: gtsam.ISAM2, factors: list[gtsam.JacobianFactor], key: int, n:
 
 @dataclass(frozen=True, eq=False)
 class _Settled:
-    """A part of the past outside the tree: references x (N, size), and their conditionals."""
+    """Epochs that have left the tree: where they are linearised, x (N, size), and their
+    conditionals."""
 
     x: Array
     conditionals: Conditionals
@@ -76,8 +77,9 @@ _SPOILT: _Log = ((-1, []),)
 
 @dataclass(frozen=True, eq=False)
 class SmootherState:
-    """The smoother at one epoch, all but its tree, which the log makes again.
+    """The smoother at one epoch, without its tree, which can be rebuilt from the log.
 
+    t: s, None before the first epoch; x (size,), P (n, n): the newest estimate;
     count: epochs taken in; assemblies, weights: adjoining parts, the past, then by epoch;
     references: of the tree's epochs, the newest ones; due: number of epochs at which the
     whole is relinearised next; done: the filter's part in the newest epoch.
@@ -212,8 +214,10 @@ class IncrementalSmoother:
         self._take(layout.retract(x, d), 0.5 * (P + P.T))
 
     def _in_tree(self, newest: Array) -> Array:
-        """Today's estimate of the tree's epochs: references moved by the tree; newest
-        (size,): that of the last one, which may not be in it yet."""
+        """Present estimate (epochs, size) of the tree's epochs: references moved by the tree.
+
+        newest (size,): that of the last one, which may not be in it yet.
+        """
         layout, out = self.problem.layout, np.array(self.state.references)
         first = self.state.count - len(out)
         if self.state.log:
@@ -224,8 +228,8 @@ class IncrementalSmoother:
         return out
 
     def _trajectory(self, newest: Array) -> Array:
-        """Today's estimate of all epochs (N, size): behind the tree, the conditionals of
-        what has left it carry its news back."""
+        """Present estimate of all epochs (N, size): for those that have left the tree, by
+        back-substitution through their conditionals."""
         layout, parts = self.problem.layout, [self._in_tree(newest)]
         for part in reversed(self.state.settled):  # each ends where the next one begins
             end = layout.local(part.x[-1], parts[-1][0])
@@ -233,8 +237,8 @@ class IncrementalSmoother:
         return np.concatenate(parts[::-1])
 
     def _settle(self, solution: Solution, parts: int, assembly: Assembly) -> None:
-        """Leave the last parts of the past, now one, to their conditionals; the tree begins
-        anew with what they say of the newest epoch."""
+        """Replace the last parts of the past, now joined, by their conditionals. The tree begins
+        anew with what these say of the newest epoch."""
         R = solution.conditionals.R[-1]
         inverse = np.linalg.inv(R)
         self._take(solution.x[-1], inverse @ inverse.T)
@@ -250,8 +254,8 @@ class IncrementalSmoother:
         self._grow(key, [epoch_factor(key, R, -solution.conditionals.d[-1])])
 
     def _compact(self) -> None:
-        """The tree's epochs leave it, relinearised among themselves for the last time
-        before the whole history is."""
+        """Move the tree's epochs out of it. They are relinearised among themselves now, and not
+        again until the whole history is."""
         s = self.state
         parts = len(s.references) - 1  # the first one's measurements are in the summary
         assembly = Assembly.join(s.assemblies[-parts:])
@@ -294,11 +298,11 @@ class IncrementalSmoother:
         return self.state
 
     def save(self, state: SmootherState) -> dict[str, Array]:
-        """Nothing: see `compact`."""
+        """An empty mapping: see `compact`."""
         return {}
 
     def load(self, arrays: Mapping[str, Array]) -> SmootherState:
-        """The state of nothing."""
+        """The state before the first epoch; `arrays` is empty."""
         return self.begin()
 
 

@@ -31,11 +31,11 @@ __all__ = ["smooth_long_pass"]
 
 @dataclass(eq=False)
 class _Part:
-    """Adjoining epochs; in front of them the last one of the part before, without its
-    measurements, which are in the anchor.
+    """Consecutive epochs of the pass. Before them stands the last epoch of the part before,
+    without its measurements, which are in the anchor.
 
-    x (N, size): trajectory; first: the one at which noise is taken; anchor: what all before
-    says of the first epoch.
+    x (N, size): trajectory; first (N, size): the one at which the process noise is evaluated;
+    weights (observations,); anchor: all that is known of the first epoch from those before.
     """
 
     assembly: Assembly
@@ -54,8 +54,7 @@ class _Part:
 
 
 def _systems(parts: Iterable[_Part]) -> Iterator[System]:
-    """The system of each part, made when it is asked for, in the memory of the one before:
-    good until the next one is asked for."""
+    """The system of each part, made on demand; the next one overwrites it."""
     made = None
     for part in parts:
         system = part.system(made)

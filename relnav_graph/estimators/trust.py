@@ -15,9 +15,12 @@ TRUSTED = 30.0
 def judge(
     away: Mapping[str, float], problem: Problem, misfit: float, rows: int
 ) -> tuple[Status, str]:
-    """Degraded when a sensor lost more than half of its observations (`away`, see
-    `relnav_graph.estimators.weights.lost`), when there was none to use, or when the squared
-    residuals, `misfit` over `rows` rows, are far too large."""
+    """The status of a track, and why.
+
+    Degraded when a sensor lost more than half of its observations (`away`, see
+    `relnav_graph.estimators.weights.lost`), when not one was used, or when the sum of squared
+    whitened residuals, `misfit` over `rows` rows, is far too large.
+    """
     seen = dict.fromkeys(problem.sensors, 0)
     for epoch in problem.epochs:
         for m in epoch.measurements:

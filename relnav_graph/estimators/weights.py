@@ -26,7 +26,8 @@ __all__ = [
 def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:
     """Squared normalised residual above which an observation is left out, (observations,).
 
-    A filter tests an innovation against H P H^T + R with it.
+    gates: probability of the chi-square gate by sensor; no gate gives infinity. A filter
+    compares the innovation, normalised by H P H^T + R, with it.
     """
     limits = np.full(len(assembly.sensor_names), np.inf)
     for i, name in enumerate(assembly.sensor_names):
@@ -37,7 +38,7 @@ def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:
 
 
 def losses_of(assembly: Assembly, losses: Mapping[str, Loss]) -> Array:
-    """Kind and tuning constant of each observation's loss (observations, 2)."""
+    """Kind and tuning constant, in sigmas, of each observation's loss, (observations, 2)."""
     numbers = np.array([[0.0, 1.0]] * len(assembly.sensor_names)).reshape(-1, 2)
     for i, name in enumerate(assembly.sensor_names):
         if name in losses:
@@ -52,8 +53,11 @@ def residual_weights(
     gates: Mapping[str, float],
     losses: Mapping[str, Loss],
 ) -> Array:
-    """Square root of each observation's weight, by its residual at a smoothed estimate
-    against R; 0 for one beyond its gate. rows: unweighted."""
+    """Square root of each observation's weight (observations,); 0 for one beyond its gate.
+
+    By its residual at a smoothed estimate, whitened by R alone. rows: the whitened residual
+    rows, r (rows,), not weighted yet.
+    """
     ends = np.cumsum(assembly.heights)
     total = np.concatenate(([0.0], np.cumsum(rows.r**2)))
     squares = total[ends] - total[ends - assembly.heights]
@@ -64,16 +68,25 @@ def residual_weights(
 
 
 def count_downweighted(assembly: Assembly, weights: Array) -> dict[str, int]:
-    """Observations that a robust loss lets count for less, by sensor."""
+    """Observations that a robust loss lets count for less, by sensor.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
     return assembly.by_sensor((weights > 0) & (weights < 1))
 
 
 def lost(assembly: Assembly, weights: Array) -> dict[str, float]:
-    """What was rejected or down-weighted of each sensor, in whole observations."""
+    """Sum over each sensor's observations of the weight they lack: 1 for a rejected one.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
     part = np.bincount(assembly.sensor_of, 1 - weights**2, len(assembly.sensor_names))
     return {name: float(n) for name, n in zip(assembly.sensor_names, part, strict=True)}
 
 
 def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:
-    """Observations left out, by sensor."""
+    """Observations left out, by sensor.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
     return assembly.by_sensor(weights == 0)

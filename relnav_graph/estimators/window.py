@@ -20,9 +20,11 @@ __all__ = ["Chain", "Left", "Window", "joined", "linearized"]
 
 @dataclass(frozen=True, eq=False)
 class Left:
-    """Epochs that left a window together: t (m,) s, x (m, size), weights of their
-    observations. Their covariances wait to be asked for: they cost a pass back through the
-    whole window."""
+    """Epochs that left a window together: t (m,) s, x (m, size), weights (observations,).
+
+    Their covariances are computed only when asked for: they cost a pass back through the whole
+    window.
+    """
 
     t: Array
     x: Array
@@ -49,7 +51,7 @@ class Chain:
     d: Array
 
     def summary(self, k: int) -> Anchor:
-        """What all up to epoch k tells of it."""
+        """All that is known of epoch k from the data up to it, as a linear summary."""
         known = self.known[k]
         return Anchor(self.x[k], np.ascontiguousarray(known[:, :-1]), known[:, -1].copy())
 
@@ -58,14 +60,14 @@ class Chain:
         return layout.retract(self.x[part], self.d[part])
 
     def moved(self) -> Array:
-        """How far each estimate is from where it is linearised (K,); in sigmas of what was
-        known of it when it was the newest."""
+        """How far each estimate is from its linearisation point, (K,), in sigmas of its
+        covariance when it was the newest."""
         away = self.known[:, :, :-1] @ self.d[:, :, None]
         distance: Array = np.sqrt(np.square(away).sum(axis=(1, 2)))
         return distance
 
     def since(self, k: int) -> Chain:
-        """Without the first k."""
+        """The chain without its first k epochs."""
         c = self.conditionals
         rest = Conditionals(c.R[k:], c.S[k:], c.d[k:])
         return Chain(self.x[k:], self.known[k:], rest, self.d[k:])
@@ -75,8 +77,8 @@ class Chain:
 class Window:
     """The smoother at one epoch: an immutable value.
 
-    anchor: what is known of the window's first state beforehand. Before anything has left,
-    that is the first epoch's; then it is that of the newest epoch that has left. x (size,),
+    anchor: what is known of the window's first state beforehand. That state is the first
+    epoch's until an epoch has left the window, then the newest one that has left. x (size,),
     P (n, n): the newest state. epochs, parts, weights: those in the window; chain: their
     states, after that of the newest epoch that has left. done: the filter's part in the newest
     epoch; left: what left with it.

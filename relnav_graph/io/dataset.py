@@ -111,7 +111,7 @@ def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
 
 
 def _on_epochs(truth: Truth, times: Array) -> Truth:
-    """The truth with rows of NaN at those of `times` that it lacks."""
+    """The truth with rows of NaN added at those of `times` (N,), s, that it lacks."""
     padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
     right = np.searchsorted(padded, times)
     apart = np.minimum(times - padded[right - 1], padded[right] - times)

@@ -53,7 +53,10 @@ def to_components(block: Block, values: Array) -> Array:
 
 
 def from_components(block: Block, components: Array) -> Array:
-    """The inverse of :func:`to_components`; quaternions are normalised."""
+    """Quaternions (N, 4), w first, normalised here, as (N, 3, 3); or (N, dim) unchanged.
+
+    The inverse of :func:`to_components`.
+    """
     if block.manifold != "SO3":
         return components
     quaternions = np.ascontiguousarray(components, dtype=np.float64)
@@ -72,11 +75,11 @@ class Table:
         return self.columns[column]
 
     def stack(self, columns: Sequence[str]) -> Array:
-        """Some columns side by side, (rows, len(columns))."""
+        """Some columns side by side, (rows, columns)."""
         return np.column_stack([self[c] for c in columns])
 
     def refuse(self, bad: NDArray[np.bool_], column: str, expected: str) -> None:
-        """Raise InputError at the first bad row, if there is one."""
+        """Raise InputError at the first row where the mask `bad` (rows,) is true, if any."""
         rows = np.nonzero(bad)[0]
         if len(rows):
             found = self[column][rows[0]]
@@ -182,7 +185,7 @@ def read_table(folder: Path, stem: str) -> Table | None:
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write columns of numbers, of equal length, as the suffix of `path` says."""
+    """Write columns of numbers (rows,) as CSV or Parquet, as the suffix of `path` says."""
     if path.suffix == ".parquet":
         pyarrow = _pyarrow()
         pyarrow.parquet.write_table(pyarrow.table(dict(columns)), path)

@@ -70,7 +70,7 @@ class RunFigures:
 
     @cached_property
     def t(self) -> Array:
-        """Mean time of each bin of the series, s."""
+        """Mean time of each bin of the series, (bins,), s."""
         time = self.study.scenario.file.time
         assert time is not None
         edges = bin_edges(time.epochs)

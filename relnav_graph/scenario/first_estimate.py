@@ -123,7 +123,7 @@ def _check_seen(problem: Problem, epoch: Epoch, H: Array, names: Sequence[str]) 
 
 
 def hypotheses(problem: Problem, names: Sequence[str]) -> list[Hypothesis]:
-    """What the first frame says of the blocks `names`: minima, the best first.
+    """Minima of the first frame's residuals over the blocks `names`, the best first.
 
     Raises EstimationError, naming what is missing, when there is no sensor that can tell, or
     when it does not see enough.

@@ -169,7 +169,8 @@ class Scenario:
     def prior_with(self, means: Mapping[str, Array], t: float) -> Prior:
         """The prior at time t, s, with `means` for blocks whose mean the scenario leaves open.
 
-        Those to be measured may lack one. Raises InputError when another one is missing.
+        means: by block name, (3, 3) or (dim,), SI, in the block's frame. Blocks whose mean is to
+        be measured may lack one. Raises InputError when another one is missing.
         """
         given = {n: self.file.prior[n].model_copy(update={"mean": "truth"}) for n in means}
         given |= {n: p for n, p in self.file.prior.items() if isinstance(p.mean, list)}

@@ -124,7 +124,7 @@ class SensorOptions(BaseModel):
         return self
 
     def timing(self) -> Timing:
-        """What the simulator needs to know."""
+        """The settings as the simulator takes them."""
         begin = -math.inf if self.begin is None else self.begin
         end = math.inf if self.end is None else self.end
         if self.outliers is None:

@@ -47,8 +47,8 @@ def _misfit(
 
 
 def wrong_unit(sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Array) -> str | None:
-    """What is wrong with the unit of a measurement, expected at x (size,) with P (n, n); None
-    where it fits, or fits in no other unit either."""
+    """A message when a measurement fits in another unit only; None when it fits as it is, or in
+    no unit. x (size,), P (n, n): predicted state and covariance."""
     fitting = None
     try:
         misfit, rows = _misfit(sensor, m, layout, x, P)

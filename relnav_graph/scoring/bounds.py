@@ -1,4 +1,4 @@
-"""What the data can tell at all: covariances from the information along a trajectory.
+"""Lower bounds of the covariances, from the information of the data along a trajectory.
 
 Linearised at the truth, they are the posterior Cramer-Rao bounds of filter and smoother
 (Van Trees 1968; Tichavsky, Muravchik, Nehorai 1998, eq. 21): no unbiased estimator's mean
@@ -24,8 +24,8 @@ __all__ = ["Bounds", "bounds", "true_trajectory"]
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Tracks whose covariances are the bounds, at the trajectory: of every filter, and of
-    every smoother of the whole pass."""
+    """Tracks whose covariances are the bounds, for any filter and for any smoother of the whole
+    pass; their states are the trajectory itself."""
 
     filtered: Track
     smoothed: Track

@@ -90,8 +90,9 @@ def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
 
 @np.errstate(over="ignore", invalid="ignore")  # of diverged tracks
 def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstimates]:
-    """Every block of the track, every derived quantity that its blocks give, and, of a pass
-    that was flown, the aim of its control, which has no covariance.
+    """Estimates of every block of the track and of every derived quantity that its blocks give.
+
+    For a pass flown under control also the control errors' aim, zero, with a covariance of NaN.
 
     A derived quantity with the name of a block is left out: the block is the estimate.
     """
@@ -136,7 +137,7 @@ def _truth_at(t: Array, truth: Truth, derived: Sequence[Derived]) -> dict[str, A
 def deviations(
     states: Mapping[str, StateEstimates], t: Array, truth: Truth, derived: Sequence[Derived]
 ) -> dict[str, StateErrors]:
-    """:func:`errors` of estimates already at hand, at times t (N,)."""
+    """:func:`errors` of estimates already at hand, at times t (N,), s."""
     known = _truth_at(t, truth, derived)
     found = {}
     for name, state in states.items():
@@ -162,7 +163,10 @@ def errors(track: Track, truth: Truth, derived: Sequence[Derived]) -> dict[str, 
 
 
 def joint(found: Iterable[StateErrors], track: Track) -> tuple[Array, Array]:
-    """Errors and joint covariance of all known blocks, where truth knows them all."""
+    """Errors (M, n) and joint covariance (M, n, n) of all blocks that truth knows.
+
+    SI, in tangent coordinates; of the M epochs at which truth knows all of them.
+    """
     blocks = [s for s in found if s.block.name in track.layout]
     if not blocks:
         return np.zeros((0, 1)), np.zeros((0, 1, 1))
@@ -174,6 +178,8 @@ def joint(found: Iterable[StateErrors], track: Track) -> tuple[Array, Array]:
 
 def nees(e: Array, P: Array) -> tuple[Array, Indices]:
     """Normalised error squared ``e^T P^+ e`` (N,) and the rank of P (N,).
+
+    e (N, dim): errors; P (N, dim, dim): their covariances.
 
     The inverse is taken on the range of the correlation matrix, so that units do not
     decide the rank, and quantities bound by a constraint (three inertia ratios of two
@@ -202,6 +208,8 @@ def chi2_band(n: int, runs: int = 1, level: float = 0.95) -> Band:
 
 def mean_nees(e: Array, P: Array) -> tuple[float | None, int]:
     """ANEES, mean NEES / rank over epochs, and the freedoms of one run, the largest rank.
+
+    e (N, dim): errors; P (N, dim, dim): their covariances.
 
     None without a finite value, or without epochs.
     """

@@ -250,7 +250,7 @@ def _row(track: Track, s: Score) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of the packages that decide the numbers, and of Python."""
+    """Versions of Python and of the packages that decide the numbers."""
     packages = ("relnav-graph", "gtsam", "numpy", "numba")
     return {p: version(p) for p in packages} | {"python": platform.python_version()}
 

@@ -1,4 +1,4 @@
-"""What a scenario's sensors can tell, before any data: noises after discretisation,
+"""What can be estimated with a scenario's sensors, before any data: noises after discretisation,
 directions that are weak or not observable, and the sigmas to expect.
 
 All of it follows from the information along a nominal trajectory: the truth of a simulated
@@ -91,8 +91,11 @@ def named_directions(problem: Problem, x: Array) -> list[Direction]:
 
 
 def _along(d: Array, information: Array, P: Array) -> float:
-    """1-sigma of the amplitude along d, which is found by projection in the prior's
-    metric; information (n,): of the prior."""
+    """1-sigma of the amplitude along d (n,), under a covariance P (n, n).
+
+    The amplitude is found by projection in the metric of the prior, whose information is
+    `information` (n,).
+    """
     weight = information * d / (d @ (information * d))
     return float(np.sqrt(weight @ P @ weight))
 
@@ -122,7 +125,8 @@ def _name(v: Array, inverse: Array, named: list[Direction], blocks: list[Directi
 
 
 def _weak_directions(problem: Problem, bound: Bounds, x: Array) -> list[dict[str, Any]]:
-    """Directions of the first epoch of which data leave much of the prior, worst first.
+    """Directions of the first epoch's state in which the data hardly improve the prior, worst
+    first.
 
     Eigenvectors of the smoothed covariance in units of the prior (its own covariance, so
     that what is weak does not depend on units).

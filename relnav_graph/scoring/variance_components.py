@@ -32,9 +32,11 @@ PRIOR = "prior"
 
 @dataclass(frozen=True, eq=False)
 class NoiseResiduals:
-    """Of each group of noises, by its path in the scenario: the squared whitened
-    residuals; coupling: T (groups, groups), where it was asked for. cost: half the sum
-    of all squares at the trajectory itself."""
+    """Sums of squared whitened residuals by group of noises.
+
+    squares: by the group's path in the scenario; coupling: T (groups, groups), where it was
+    asked for; cost: half the sum of all squares at the trajectory itself.
+    """
 
     squares: Mapping[str, float]
     cost: float
@@ -135,8 +137,8 @@ def noise_residuals(
 def estimate_factors(squares: Array, coupling: Array) -> tuple[Array, Array]:
     """Factors of the variances (groups,), and their sigmas where all noises are true.
 
-    squares: summed over runs; coupling: T of all those runs together. A group that the
-    data hardly test is left as declared: its factor is 1, its sigma infinite.
+    squares (groups,): summed over runs; coupling (groups, groups): T, summed over those runs. A
+    group that the data hardly test is left as declared: its factor is 1, its sigma infinite.
     """
     T = 0.5 * (coupling + coupling.T)
     keep = np.diag(T) > 10.0  # below, the factor itself would be known to 45 % at best

@@ -25,16 +25,17 @@ class Flight(Protocol):
     """A pass while it is flown: it stands at one time, and moves on when told to."""
 
     def values(self) -> Mapping[str, Array]:
-        """True values now by name, (3, 3) or (dim,): blocks, and what a controller reads as
-        the chaser's own."""
+        """True values now by name, (3, 3) or (dim,), SI, in the block's frame: of blocks, and of
+        what a controller knows of the chaser itself."""
 
     def advance(
         self, t: float, command: Array | None, edges: Mapping[str, Array]
     ) -> Mapping[str, Array]:
         """Fly to time t, s, with the command held; None: without any.
 
-        edges: of the samples of each input (gyro, accelerometer) in that time, (n + 1,), s.
-        Gives the true means of what the input measures between them, (n, channels). What is
+        command: (3,), a force, N, or a torque, N m, in the frame that the truth says. edges: by
+        input (gyro, accelerometer), where its samples in that time begin and end, (n + 1,), s.
+        Result: by input, the true mean over each sample, (n, channels), SI. What is
         drawn at random on the way must not depend on the command. Raises InputError on an
         input that this truth cannot drive.
         """
@@ -70,18 +71,25 @@ class Controller(Protocol):
     def start(self) -> float: ...
 
     def command(self, t: float, estimate: Mapping[str, Array], own: Mapping[str, Array]) -> Array:
-        """The command from time t, s, on, of newest estimates by block name."""
+        """The command (3,) from time t, s, on: a force, N, or a torque, N m, as the truth takes it.
+
+        estimate: newest estimates by block name; own: of the chaser itself, exactly known; (3, 3)
+        or (dim,) each, SI, in the block's frame.
+        """
 
     def control_errors(self, values: Mapping[str, Array]) -> Mapping[str, Array]:
-        """True values of `controlled` over a pass of true values (N, ...)."""
+        """True control errors by name of `controlled`, (N, 3, 3) or (N, dim), SI.
+
+        values: the true values of a pass by name, (N, 3, 3) or (N, dim), SI.
+        """
 
 
 @runtime_checkable
 class Instrument(Protocol):
-    """What an input (gyro, accelerometer) reads of the truth."""
+    """A simulated instrument whose readings are a process's input: a gyro, an accelerometer."""
 
     def edges(self, t0: float, t1: float) -> Array:
-        """Where the samples from t0 to t1, s, begin and end, (n + 1,), s."""
+        """Edges (n + 1,), s, of the n adjoining samples from t0 to t1, s."""
 
 
 @runtime_checkable
@@ -93,7 +101,7 @@ class IntervalInstrument(Instrument, Protocol):
         """Names of the blocks that are its bias."""
 
     def begin(self, rng: np.random.Generator) -> Any:
-        """What draws the errors, with `bias` (3,) and `take(edges)`."""
+        """A sampler of the errors: `bias` (3,) now, and `take(edges)` for the next samples."""
 
 
 @runtime_checkable
@@ -101,4 +109,4 @@ class SimulatedTruth(Protocol):
     """A truth that gives a whole pass at once."""
 
     def simulate(self, *arguments: Any) -> Truth:
-        """True blocks at given times."""
+        """True values of blocks at given times; the arguments depend on the truth."""

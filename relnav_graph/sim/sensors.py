@@ -54,7 +54,7 @@ class Timing:
 
 
 def _seen(sensor: Sensor, ids: Indices, x: Sequence[Array]) -> tuple[Indices, Array]:
-    """Those of the ids that can be seen, and what they give without noise."""
+    """Those of the ids (k,) that can be seen, and their z (m, nz) without noise."""
     try:
         return ids, sensor.predict(ids, *x)
     except GeometryError:
@@ -65,7 +65,7 @@ def _seen(sensor: Sensor, ids: Indices, x: Sequence[Array]) -> tuple[Indices, Ar
 
 
 def _unit_noise(law: Law, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """Noise (k, rows) of unit covariance."""
+    """Noise of unit covariance; shape: (k, rows)."""
     noise = rng.standard_normal(shape)
     if law == "random_direction":
         noise /= np.linalg.norm(noise, axis=1, keepdims=True)
@@ -83,7 +83,10 @@ def _with_outliers(e: Array, timing: Timing, rng: np.random.Generator) -> Array:
 
 
 def check_known(name: str, sensor: Sensor, values: Mapping[str, Array]) -> None:
-    """Raise InputError when a truth with these values lacks a block that a sensor reads."""
+    """Raise InputError when a truth with these values lacks a block that a sensor reads.
+
+    values: by block name, (N, 3, 3) or (N, dim), SI; only the names are looked at.
+    """
     missing = [b.name for b in sensor.reads if b.name not in values]
     if missing:
         raise InputError(f"sensor {name!r} cannot be simulated: the truth has no {missing}")
@@ -98,8 +101,10 @@ def measure_once(
     rng: np.random.Generator,
     outliers: np.random.Generator | None = None,
 ) -> Measurement | None:
-    """What a sensor measures at time t, s, at true values x of the blocks that it reads;
-    None when it sees nothing. See `measure`."""
+    """What a sensor measures at time t, s; None when it sees nothing. See `measure`.
+
+    x: true value of each block that it reads, (3, 3) or (dim,), SI, in the block's frame.
+    """
     now = sensor.at(t)
     seen, rows = _seen(now, now.in_view(now.observables(), *x), x)
     if not len(seen):

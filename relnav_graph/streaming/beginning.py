@@ -1,4 +1,4 @@
-"""The first epochs of a stream whose prior is to be measured.
+"""The first epochs of a stream, held back until they give a first estimate (the prior).
 
 Each epoch is tried until one suffices; it says what is missing in those that do not. Where one
 leaves several hypotheses, the next few are held back, until they tell.
@@ -55,7 +55,7 @@ class Beginning:
         return len(self.epochs) >= FRAMES
 
     def prior(self) -> tuple[Prior, str]:
-        """At the first of the epochs held back; what speaks against it, or ""."""
+        """The prior at the first of the epochs held back; and a warning about it, or ""."""
         return decide(self._with(self.epochs), self.names)
 
     def _with(self, epochs: Sequence[Epoch]) -> Problem:
@@ -70,7 +70,8 @@ class Beginning:
         self.t = epoch.t
 
     def save(self) -> dict[str, Array]:
-        """As plain arrays."""
+        """As plain arrays by name: the prior's t (), s, NaN before any epoch, x (size,) and P
+        (n, n), and the epochs, see `relnav_graph.core.packing.pack`."""
         prior = self.problem.prior
         t = np.array(np.nan if self.t is None else self.t)
         return {"t": t, "x": prior.x, "P": prior.P} | {
@@ -78,7 +79,7 @@ class Beginning:
         }
 
     def load(self, arrays: Mapping[str, Array]) -> None:
-        """Be what gave `arrays`."""
+        """Restore what `save` made `arrays` of: t (), x (size,), P (n, n) and epochs."""
         t = float(arrays["t"])
         self.t = None if np.isnan(t) else t
         self.problem = replace(self.problem, prior=Prior(arrays["x"], arrays["P"]))

@@ -1,4 +1,4 @@
-"""What a stream holds back: inputs of the window, and epochs that wait for theirs."""
+"""Buffers of a stream: inputs over the window, and epochs that wait for their inputs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
 
 
 class InputBuffer:
-    """Samples of one input in order of time, however they came."""
+    """Samples of one input in order of time, whatever the order of arrival."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -105,7 +105,7 @@ class Inputs(dict[str, InputBuffer]):
     """All inputs, by name."""
 
     def lacking(self, now: float, t: float) -> str:
-        """Which one does not go on from `now` to t, s; "" when all do."""
+        """A message naming an input that does not cover `now` to t, s; "" when all do."""
         for name, buffer in self.items():
             reach = buffer.reach(now)
             if reach < t - SAME_TIME:
@@ -125,7 +125,11 @@ class Inputs(dict[str, InputBuffer]):
     def since(
         self, processes: Mapping[str, Dynamics], now: float, t: float, hold: bool
     ) -> dict[str, Array]:
-        """Inputs of each process from `now` to t, s; hold: the newest go on where they end."""
+        """Inputs of each process from `now` to t, s, by name: u (rows, 1 + channels).
+
+        Each row: length of the sub-interval, s, then the inputs, SI. hold: the newest sample goes
+        on beyond its end.
+        """
         series = {n: b.held(now, t) if hold else b.series(now, t) for n, b in self.items()}
         return {name: process_inputs(p, series, now, t) for name, p in processes.items()}
 

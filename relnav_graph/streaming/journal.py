@@ -1,4 +1,4 @@
-"""A journal of a stream: all that came in, so that a killed run goes on as if it never was.
+"""A journal of a stream: all lines received, so that a killed run resumes with the same result.
 
 A folder of segments ``00000000.journal``, ``00000001.journal``, ...; only the last one is
 written to, and only at its end. A segment is the line ``relnav-journal 1``, then records::

@@ -276,7 +276,10 @@ def header_of(first: bytes) -> Header:
 
 
 def prior_values(header: Header, layout: Layout) -> dict[str, Array]:
-    """Values of the blocks whose prior means a header gives. Raises InputError."""
+    """Values of the blocks whose prior means a header gives, by name.
+
+    (3, 3) for an attitude, else (dim,), SI, in the block's frame. Raises InputError.
+    """
     out = {}
     for name, components in header.prior.items():
         if name not in layout:
@@ -311,7 +314,10 @@ def _sigmas(P: Array) -> list[float]:
 def estimate_object(
     layout: Layout, derived: Iterable[Derived], x: Array, P: Array
 ) -> dict[str, dict[str, list[float]]]:
-    """`estimate` of a line out: blocks, and quantities derived from them, with sigmas."""
+    """`estimate` of an output line: blocks, and quantities derived from them, with sigmas.
+
+    x (size,): stored vector; P (n, n): its covariance; SI. Attitudes come as quaternions, w first.
+    """
     found = {}
     values = layout.values(x)
     for block in layout:

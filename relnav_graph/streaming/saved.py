@@ -1,4 +1,4 @@
-"""A session as bytes: what is its own as JSON, the estimator's arrays beside it."""
+"""A session as bytes: its own state as JSON, with the estimator's arrays."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _OWN = "session"
 
 
 def pack(own: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
-    """JSON and arrays as bytes; the same state gives the same bytes back, bit for bit."""
+    """JSON and named arrays, of any shape, as bytes; the same state gives the same bytes."""
     stream = io.BytesIO()
     text = np.frombuffer(json.dumps(own).encode(), dtype=np.uint8)
     everything: dict[str, Any] = {_OWN: text, **arrays}
@@ -38,7 +38,7 @@ def pack(own: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
 
 
 def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
-    """What `pack` was given."""
+    """The JSON object and the named arrays, of any shape, that `pack` was given."""
     with np.load(io.BytesIO(data), allow_pickle=False) as found:
         arrays = {name: found[name] for name in found}
     return json.loads(arrays.pop(_OWN).tobytes()), arrays
@@ -60,7 +60,7 @@ def samples(inputs: Sequence[InputSample]) -> list[dict[str, Any]]:
 
 
 def samples_in(found: Sequence[Mapping[str, Any]]) -> list[InputSample]:
-    """The samples again."""
+    """The samples of inputs that `samples` made plain values of."""
     return [
         InputSample(
             *(s["input"], s["t_start"], s["t_end"], np.array(s["values"])), s.get("t_arrival")
@@ -75,7 +75,7 @@ def waiting(epochs: Sequence[WaitingEpoch]) -> list[Any]:
 
 
 def waiting_in(found: Sequence[Any]) -> list[WaitingEpoch]:
-    """The epochs again."""
+    """The waiting epochs that `waiting` made plain values of."""
     return [WaitingEpoch(t, arrival, [_measurement(m) for m in ms]) for t, arrival, ms in found]
 
 

@@ -89,7 +89,7 @@ class Session:
             return Parsed(None, error)
 
     def repeats(self, line: Parsed) -> bool:
-        """Whether a line is one that a sender says again."""
+        """Whether a line is a repetition, by the sender, of an earlier one."""
         return line.n is not None and line.n <= self._last
 
     def take(self, line: Parsed) -> list[Output]:
@@ -141,7 +141,7 @@ class Session:
                 self._reject(m.sensor, m.t, i, reason)
 
     def _hear(self, item: Measurement | InputSample | Tick) -> None:
-        """Keep a measurement, an input or an epoch, unless its time speaks against it."""
+        """Keep a measurement, an input or an epoch; reject it when its times cannot be right."""
         name = item.name if isinstance(item, InputSample) else getattr(item, "sensor", None)
         t = item.t_end if isinstance(item, InputSample) else item.t
         arrival = t if item.t_arrival is None else item.t_arrival
@@ -184,7 +184,7 @@ class Session:
 
     @property
     def _window_start(self) -> float:
-        """Before this time, s, a measurement is too late."""
+        """Time, s, before which a measurement comes too late to be used."""
         epochs = self.online.epochs
         return epochs[0].t if epochs else -np.inf
 
@@ -250,7 +250,7 @@ class Session:
         return self._begun() if enough else []
 
     def _begun(self) -> list[Output]:
-        """Take in what was held back, from the prior that it gives."""
+        """Take in the epochs that were held back, beginning at the prior made from them."""
         assert self._beginning is not None
         held, (prior, self._doubt) = self._beginning.epochs, self._beginning.prior()
         self._beginning, self.online = None, self.online.from_prior(prior)
@@ -379,7 +379,7 @@ class Session:
         return saved.pack(own, {**self.online.state(), **arrays})
 
     def load(self, data: bytes) -> None:
-        """Be the session that gave `data`; for one that has taken in nothing yet."""
+        """Restore the session that `save` made `data` of; only before anything was taken in."""
         own, arrays = saved.unpack(data)
         first = under(arrays, "beginning.")
         if not own["begun"] and self._beginning is not None:

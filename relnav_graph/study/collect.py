@@ -33,7 +33,7 @@ class _Sum:
 
     @property
     def mean(self) -> Array:
-        """NaN where no run had a number."""
+        """Mean over runs; NaN where no run had a number."""
         assert self.total is not None
         assert self.count is not None
         with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""What one run of a study leaves: numbers of a fixed size, however long the pass.
+"""The record of one run of a study: of a fixed size, however long the pass.
 
 A record holds scalars of each run, which intervals over runs need, and series over the
 pass in at most `BINS` bins, which are summed over runs. So the memory of a study does not
@@ -69,7 +69,7 @@ class Record:
 
 
 def bin_edges(count: int) -> Indices:
-    """First epoch of each bin, and the epoch after the last."""
+    """First epoch of each bin, and the epoch after the last: (bins + 1,)."""
     return np.linspace(0, count, min(count, BINS) + 1).round().astype(np.int64)
 
 

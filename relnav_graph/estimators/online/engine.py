@@ -1,4 +1,4 @@
-"""What an estimator offers for use online, and what a step gives."""
+"""The contract of estimators that are driven online, and the result of one step."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ __all__ = ["Engine", "EngineState", "Estimate", "Refusal"]
 class EngineState(Protocol):
     """An estimator at the newest epoch that it has taken in: an immutable value.
 
-    t: its time, None before the first; x (size,), P (n, n); done: what a filter made of
-    that epoch, which tells weights and innovations.
+    t: its time, s, None before the first; x (size,), P (n, n); done: the filter's pass over
+    that epoch, which holds weights and innovations.
     """
 
     @property
@@ -35,7 +35,7 @@ class EngineState(Protocol):
 class Engine(Protocol):
     """How an estimator gets from one state to the next.
 
-    compact: whether a state can be saved; else only all its epochs can make it again.
+    compact: whether a state can be saved; if not, it can only be made again from all its epochs.
     """
 
     compact: bool
@@ -47,10 +47,10 @@ class Engine(Protocol):
         """The state with one more epoch. Raises EstimationError or ModelError."""
 
     def save(self, state: Any) -> dict[str, Array]:
-        """A state as plain arrays."""
+        """A state as plain arrays by name, such as t (), x (size,) and P (n, n)."""
 
     def load(self, arrays: Mapping[str, Array]) -> Any:
-        """The state that `save` made arrays of."""
+        """The state that `save` made `arrays` of: t (), x (size,), P (n, n) and so on."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,11 @@ class Refusal:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The state at the newest epoch: t s, x (size,), P (n, n); whether to trust it, and why
-    not; what was refused of the epochs taken in for it."""
+    """The state at the newest epoch: t, s, x (size,), P (n, n).
+
+    status, message: whether to trust it, and why not; refused: observations of the epochs taken
+    in for it that were not used, or not fully.
+    """
 
     t: float
     x: Array

@@ -43,7 +43,7 @@ MEAN = 8
 
 @dataclass(frozen=True, eq=False)
 class Monitor:
-    """What is watched of each sensor; immutable: `after` gives the next one.
+    """Running averages by sensor; immutable: `after` gives the next one.
 
     table (sensors, 8 + rows): see the columns above; the mean comes last.
     """
@@ -110,8 +110,10 @@ class Monitor:
 
 
 def caution(problem: Problem, epoch: Epoch, x: Array) -> str:
-    """What the processes say of the interval that leads to an epoch with the estimate x
-    (size,): the rate is aliased, say; or ""."""
+    """Warnings of the processes about the interval that leads to an epoch, or "".
+
+    For instance an aliased rate. x (size,): the estimate there.
+    """
     found = []
     for name, process in problem.processes.items():
         if name in epoch.inputs:
@@ -140,7 +142,7 @@ def _alarms(row: Array, rows: int, t: float) -> Sequence[str]:
     if silent > MISSING:
         found.append(f"silent for {t - row[LAST]:.6g} s, {silent:.3g} of its periods")
     if row[SAMPLES]:
-        # What the averages would be of the newest samples alone: they begin at zero.
+        # The averages begin at zero: with few samples, correct them for that.
         share = 1 - (1 - WEIGHT) ** row[SAMPLES]
         spread = WEIGHT / (2 - WEIGHT) * (1 - (1 - WEIGHT) ** (2 * row[SAMPLES]))
         shift = float(row[MEAN : MEAN + rows] @ row[MEAN : MEAN + rows]) / spread

@@ -25,7 +25,10 @@ __all__ = ["MomentumObserver"]
 
 @jit
 def momentum_rate(inverse: Array, R_it: Array, h_i: Array) -> Array:
-    """w_ti_t (3,) of an angular momentum h_i (3,): J^-1 R_it^T h_i; inverse: J^-1 (3, 3)."""
+    """w_ti_t (3,), rad/s, of an angular momentum: J^-1 R_it^T h_i.
+
+    inverse: J^-1 (3, 3), in t, 1/(kg m^2); R_it (3, 3); h_i (3,): in i, N m s.
+    """
     return dense.matvec(inverse, dense.transposed_matvec(R_it, h_i))
 
 
@@ -33,8 +36,13 @@ def momentum_rate(inverse: Array, R_it: Array, h_i: Array) -> Array:
 def observer_step(
     numbers: Array, inverse: Array, R_hat: Array, h_i: Array, R_seen: Array, torque_t: Array
 ) -> tuple[Array, Array]:
-    """R_hat and h_i after numbers[2] seconds, in which what was measured turns with the
-    target. numbers: k (1/s), beta (kg^2 m^4 / s^2), length (s); torque_t: known, in t."""
+    """R_hat (3, 3) and h_i (3,), N m s, in i, at the end of an interval.
+
+    numbers (3,): k, 1/s, beta, kg^2 m^4 / s^2, and the interval's length, s; inverse: J^-1
+    (3, 3), in t, 1/(kg m^2); R_hat, R_seen (3, 3): R_it as estimated and as measured, at the
+    start; h_i (3,): angular momentum then; torque_t (3,): known torque, in t, N m. Over the
+    interval the measured attitude is taken to turn with the target.
+    """
     k, beta, dt = numbers
     error = so3.quaternion(dense.transposed_matmul(R_hat, R_seen))  # its scalar is >= 0
     e = dense.vector_at(error, 1)
@@ -54,7 +62,7 @@ def observer_step(
 
 
 def _seen(problem: Problem, epoch: Epoch) -> Iterator[Array]:
-    """Attitudes of the target as measured in an epoch."""
+    """Attitudes (3, 3) of the target as measured in an epoch."""
     for m in epoch.measurements:
         sensor = problem.sensors[m.sensor]
         if isinstance(sensor, ProposesStarts):

@@ -1,4 +1,7 @@
-"""What the inputs of a pass read, interval by interval, of true means that come as it is flown."""
+"""Readings of the inputs (gyro, accelerometer) over each interval of a flown pass.
+
+A reading is the true mean over a sample, known once it is flown, plus the instrument's errors.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,12 @@ __all__ = ["IntervalInputs"]
 
 
 class IntervalInputs:
-    """The inputs of a pass: their errors, which do not depend on what is flown.
+    """The inputs of a flown pass. Their errors do not depend on what is flown.
 
-    sources: by name; columns: how many each has; times: epochs (N,), s; rng_of: the random
-    numbers of an input, by its name. The errors of a source with `begin` are drawn interval by
-    interval, those of others for the whole pass beforehand.
+    sources: instruments by name; columns: how many channels each has; times: epochs (N,), s;
+    rng_of: gives the random generator of an input, by its name. The errors of an
+    `IntervalInstrument` are drawn interval by interval, those of others for the whole pass
+    beforehand.
     """
 
     def __init__(
@@ -49,20 +53,24 @@ class IntervalInputs:
                 self._truths[f"{name}_bias"] = bias[np.searchsorted(edges, times - SAME_TIME)]
 
     def biases(self, k: int) -> dict[str, Array]:
-        """True values of biases by block at epoch k, which is where the pass has got to."""
+        """True biases (3,) by block name at epoch k, the newest one flown; SI, in the
+        instrument's axes."""
         found = {name: values[k] for name, values in self._truths.items()}
         for source, sampler in self._samplers.values():
             found |= dict.fromkeys(source.measures, sampler.bias)
         return found
 
     def edges(self, t0: float, t1: float) -> dict[str, Array]:
-        """Of the samples of each input that the truth drives from t0 to t1, s."""
+        """By input that the truth drives: edges (n + 1,), s, of its samples from t0 to t1, s."""
         found = {name: e[_span(name, e, t0, t1)] for name, (e, _) in self._errors.items()}
         return found | {n: source.edges(t0, t1) for n, (source, _) in self._samplers.items()}
 
     def over(self, t0: float, t1: float, means: Mapping[str, Array]) -> dict[str, InputSeries]:
-        """What the inputs read from t0 to t1, s, of true means. To be called once for each
-        interval, in order."""
+        """Readings of the inputs from t0 to t1, s.
+
+        means: by input, the true mean over each sample, (n, channels), SI. To be called once for
+        each interval, in order.
+        """
         found = dict(self._steady)
         for name, (e, errors) in self._errors.items():
             part = _span(name, e, t0, t1)

@@ -119,7 +119,7 @@ class StrapdownAccelerometer:
         check_fields(self)
 
     def edges(self, t_first: float, t_last: float) -> Array:
-        """As those of `StrapdownGyro`."""
+        """Edges (n + 1,), s, of the samples, as those of `StrapdownGyro`."""
         return _edges(self.kind, self.period, t_first, t_last)
 
     def begin(self, rng: np.random.Generator) -> ErrorSampler:

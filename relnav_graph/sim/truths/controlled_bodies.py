@@ -111,7 +111,10 @@ class ControlledBodies:
         )
 
     def mean_rate(self, t_start: Array, t_end: Array) -> Array:
-        """Raises InputError: the rate depends on commands, and no input is driven here."""
+        """Raises InputError: the rate depends on commands, and no input is driven here.
+
+        t_start, t_end: (n,), s, as for truths that have mean rates.
+        """
         raise InputError("controlled_bodies: found a gyro among the inputs, expected none")
 
 

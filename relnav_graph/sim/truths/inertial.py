@@ -38,7 +38,10 @@ def _moments(J: Array) -> tuple[Array, Array]:
 
 
 def inertia_parameters(J: Array) -> Array:
-    """The block `catalogue.INERTIA_MATRIX` (5,) of an inertia J (3, 3) that a body can have."""
+    """The block `catalogue.INERTIA_MATRIX` (5,), no unit, of a body's inertia J (3, 3).
+
+    J: kg m^2, in the axes of t; its scale does not matter.
+    """
     moments, R_tp = _moments(J)
     logs = np.log(moments)
     S = R_tp @ np.diag(logs - logs.mean()) @ R_tp.T
@@ -95,7 +98,7 @@ class TumblingBody:
         return self.torque_density, 0.0
 
     def _kick(self, y: Array, dt: float, rng: np.random.Generator) -> None:
-        """What happens to the state besides, at the end of dt seconds."""
+        """Random part of the state's change, added at the end of dt seconds."""
 
     def _integrate(self, t: Array, craft: Array, rng: np.random.Generator) -> Array:
         """States y (N, 19) from the two craft's state (12,) at t = 0; see `integrate`."""

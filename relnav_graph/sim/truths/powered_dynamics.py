@@ -22,7 +22,7 @@ _J2, _J3, _J4 = ZONAL_EARTH
 
 @jit
 def gravity(r: Array) -> Array:
-    """Acceleration (3,), m/s^2, at r (3,), m."""
+    """Acceleration (3,), m/s^2, at r (3,), m from the Earth's centre, both in i."""
     x, y, z = r[0], r[1], r[2]
     r2 = x * x + y * y + z * z
     d = np.sqrt(r2)
@@ -55,7 +55,10 @@ def _slope(y: Array, held: Array) -> Array:
 
 @jit
 def fly_orbits(y: Array, held: Array, h: float, steps: int) -> Array:
-    """y after `steps` steps of h seconds; held (6,): accelerations of target and chaser."""
+    """The state y (12,) after `steps` steps of h seconds.
+
+    held (6,): constant accelerations of target and chaser besides gravity, m/s^2, in i.
+    """
     for _ in range(steps):
         k1 = _slope(y, held)
         k2 = _slope(y + h / 3 * k1, held)
@@ -105,5 +108,8 @@ def sample_attitude(
 
 @jit
 def wobbled(R: Array, wobble: Array, t: float) -> Array:
-    """R_ic at time t, s, of its steady part R."""
+    """R_ic (3, 3) at time t, s: the steady attitude R (3, 3) with the wobble added.
+
+    wobble (2,): amplitude, rad, and rate of its phase, rad/s.
+    """
     return _attitude(R, np.zeros(3), wobble, 0.0, t)

@@ -25,7 +25,10 @@ def _zeros() -> Array:
 
 
 def nadir_attitude(r: Array, v: Array) -> Array:
-    """R_ic of a craft whose z looks at the Earth's centre, y against its orbit's normal."""
+    """R_ic (3, 3) of a craft with z towards the Earth's centre and y against its orbit's normal.
+
+    r (3,), m, and v (3,), m/s: its position and velocity in i, from the Earth's centre.
+    """
     z_i, y_i = -r / np.sqrt(r @ r), so3.cross(v, r)
     y_i /= np.sqrt(y_i @ y_i)
     return np.array([so3.cross(y_i, z_i), y_i, z_i]).T.copy()

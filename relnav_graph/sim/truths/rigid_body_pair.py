@@ -29,7 +29,7 @@ def _zeros() -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OrbitElements:
-    """The orbit of a craft where a truth starts, which has another one beside it.
+    """Orbital elements, at the start, of the craft that the other one's position is given from.
 
     semi_major_axis (m), eccentricity (0 <= e < 1), true_anomaly, inclination, raan,
     argument_of_perigee (rad).
@@ -43,7 +43,7 @@ class OrbitElements:
     argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
 
     def initial_R_io(self) -> Array:
-        """From RTN axes of the orbit to inertial ones."""
+        """R_io (3, 3) at the start: from RTN axes of the orbit to inertial ones."""
         z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
         latitude = self.argument_of_perigee + self.true_anomaly
         plane = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
