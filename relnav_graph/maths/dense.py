@@ -56,7 +56,7 @@ SPARE = 3
 
 @jit(vectorize="columns")
 def matmul_into(a: Array, b: Array, out: Array) -> None:
-    """``out = a b``."""
+    """``out = a b``, for a (m, k), b (k, n), out (m, n)."""
     for i in range(a.shape[0]):
         for j in range(b.shape[1]):
             out[i, j] = 0.0
@@ -77,7 +77,7 @@ def matmul_into(a: Array, b: Array, out: Array) -> None:
 
 @jit
 def sandwich(F: Array, P: Array, out: Array) -> None:
-    """``out = F P F^T`` for a symmetric P, exactly symmetric."""
+    """``out = F P F^T``, exactly symmetric, for F (m, n), a symmetric P (n, n), out (m, m)."""
     n = F.shape[0]
     half, turned = np.empty((n, F.shape[1])), np.empty((F.shape[1], n))
     matmul_into(F, P, half)
@@ -90,7 +90,7 @@ def sandwich(F: Array, P: Array, out: Array) -> None:
 
 @jit
 def transpose_in_place(a: Array) -> None:
-    """``a = a^T``, for a square matrix."""
+    """``a = a^T``, for a square matrix (n, n)."""
     for i in range(a.shape[0]):
         for j in range(i):
             a[i, j], a[j, i] = a[j, i], a[i, j]
@@ -98,7 +98,7 @@ def transpose_in_place(a: Array) -> None:
 
 @jit
 def symmetrize(P: Array) -> None:
-    """Remove the asymmetry of rounding."""
+    """``P = (P + P^T) / 2``, for P (n, n): removes the asymmetry of rounding."""
     for i in range(P.shape[0]):
         for j in range(i):
             P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
@@ -106,8 +106,10 @@ def symmetrize(P: Array) -> None:
 
 @jit(vectorize="loops")
 def cholesky(a: Array) -> bool:
-    """Replace a symmetric matrix by its lower Cholesky factor; False unless it is positive
-    definite."""
+    """Replace a symmetric matrix a (n, n) by its lower factor L, ``L L^T = a``.
+
+    False, and a spoilt, unless it is positive definite.
+    """
     n = a.shape[0]
     for j in range(n):
         for l in range(j):
@@ -127,7 +129,10 @@ def cholesky(a: Array) -> bool:
 
 @jit
 def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
-    """L of the correlation matrix of P, and the sigmas; False unless positive definite."""
+    """Fill sigmas and the lower factor of the correlations, ``diag(scale) L L^T diag(scale) = P``.
+
+    P, L: (n, n); scale: (n,). False unless P is positive definite.
+    """
     for i in range(P.shape[0]):
         scale[i] = np.sqrt(P[i, i])
     for i in range(P.shape[0]):
@@ -138,7 +143,7 @@ def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
 
 @jit(vectorize="loops")
 def solve_lower(L: Array, b: Array) -> None:
-    """``b = L^-1 b`` for a lower triangular L."""
+    """``b = L^-1 b``, for a lower triangular L (n, n) and b (n, m)."""
     for i in range(L.shape[0]):
         for l in range(i):
             f = L[i, l]
@@ -152,7 +157,7 @@ def solve_lower(L: Array, b: Array) -> None:
 
 @jit(vectorize="loops")
 def solve_lower_transposed(L: Array, b: Array) -> None:
-    """``b = L^-T b`` for a lower triangular L."""
+    """``b = L^-T b``, for a lower triangular L (n, n) and b (n, m)."""
     for i in range(L.shape[0] - 1, -1, -1):
         f = 1.0 / L[i, i]
         for j in range(b.shape[1]):
@@ -166,7 +171,7 @@ def solve_lower_transposed(L: Array, b: Array) -> None:
 
 @jit(vectorize="loops")
 def inverse_upper(R: Array) -> Array:
-    """Inverse of an upper triangular matrix."""
+    """``R^-1`` (n, n) of an upper triangular matrix R (n, n)."""
     n = R.shape[0]
     out = np.zeros((n, n))
     for i in range(n - 1, -1, -1):
@@ -237,8 +242,10 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
 
 
 def stacked(arrays: Iterable[Array], *shape: int) -> Array:
-    """Arrays of one shape, made one after the other, as one (N, *shape): a million of them
-    never exist side by side."""
+    """Arrays of one shape, made one after the other, as one array (N, ...).
+
+    A million of them never exist side by side.
+    """
     return np.fromiter(arrays, dtype=np.dtype((np.float64, shape)))
 
 
@@ -280,7 +287,7 @@ def put_matrix(x: Array, start: int, matrix: Array) -> None:
 
 @jit
 def put_vector(x: Array, start: int, v: Array) -> None:
-    """Write a vector into x from `start` on."""
+    """Write a vector v (n,) into x (m,), from `start` on."""
     for i in range(v.shape[0]):
         x[start + i] = v[i]
 
@@ -295,7 +302,7 @@ def put_block(out: Array, row: int, column: int, block: Array, factor: float) ->
 
 @jit
 def add_scaled(a: Array, b: Array, factor: float) -> Array:
-    """``a + factor b`` of two matrices."""
+    """``a + factor b`` of two matrices (m, n)."""
     out = np.empty((a.shape[0], a.shape[1]))
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -305,7 +312,7 @@ def add_scaled(a: Array, b: Array, factor: float) -> Array:
 
 @jit
 def add_scaled_vector(a: Array, b: Array, factor: float) -> Array:
-    """``a + factor b`` of two vectors."""
+    """``a + factor b`` of two vectors (n,)."""
     out = np.empty(a.shape[0])
     for i in range(a.shape[0]):
         out[i] = a[i] + factor * b[i]
@@ -314,7 +321,7 @@ def add_scaled_vector(a: Array, b: Array, factor: float) -> Array:
 
 @jit
 def propagate_covariance(F: Array, P: Array) -> Array:
-    """``F P F^T`` of a symmetric P."""
+    """``F P F^T`` (m, m), for F (m, n) and a symmetric P (n, n)."""
     out = np.empty((F.shape[0], F.shape[0]))
     sandwich(F, P, out)
     return out
@@ -365,7 +372,7 @@ def transposed_matvec(matrix: Array, v: Array) -> Array:
 
 @jit
 def norm(v: Array) -> float:
-    """Length of a vector."""
+    """Length ``|v|`` of a vector (n,)."""
     s = 0.0
     for i in range(v.shape[0]):
         s += v[i] * v[i]
@@ -374,7 +381,7 @@ def norm(v: Array) -> float:
 
 @jit
 def copy(a: Array, out: Array) -> None:
-    """``out = a``."""
+    """``out = a``, both (m, n)."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             out[i, j] = a[i, j]
@@ -382,7 +389,7 @@ def copy(a: Array, out: Array) -> None:
 
 @jit
 def sum_of_squares(v: Array) -> float:
-    """``v^T v``."""
+    """``v^T v`` of a vector (n,)."""
     out = 0.0
     for i in range(v.shape[0]):
         out += v[i] * v[i]
@@ -391,7 +398,7 @@ def sum_of_squares(v: Array) -> float:
 
 @jit
 def column_squares(a: Array, first: int, column: int) -> float:
-    """The sum of squares of a column, from the row `first` on."""
+    """The sum of squares of one column of a (m, n), from the row `first` on."""
     out = 0.0
     for i in range(first, a.shape[0]):
         out += a[i, column] * a[i, column]

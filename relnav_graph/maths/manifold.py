@@ -18,7 +18,10 @@ from relnav_graph.maths import dense, so3
 
 @jit(from_python=True)
 def retract(x: Array, d: Array, kinds: Indices) -> Array:
-    """x (+) d; kinds has one row (is_SO3, stored offset, tangent offset, dim) a block."""
+    """``x (+) d``: the state x (size,) moved by a tangent vector d (dim,).
+
+    kinds: one row (is_SO3, stored offset, tangent offset, dim) per block.
+    """
     out = x.copy()
     for k in range(kinds.shape[0]):
         so3_block, i, j, n = kinds[k, 0], kinds[k, 1], kinds[k, 2], kinds[k, 3]
@@ -33,7 +36,7 @@ def retract(x: Array, d: Array, kinds: Indices) -> Array:
 
 @jit(from_python=True)
 def local(a: Array, b: Array, kinds: Indices, dim: int) -> Array:
-    """The tangent vector d with a (+) d = b."""
+    """The tangent vector d (dim,) with ``a (+) d = b``, for states a and b (size,)."""
     out = np.empty(dim)
     for k in range(kinds.shape[0]):
         so3_block, i, j, n = kinds[k, 0], kinds[k, 1], kinds[k, 2], kinds[k, 3]
@@ -48,8 +51,10 @@ def local(a: Array, b: Array, kinds: Indices, dim: int) -> Array:
 
 @jit
 def times_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool) -> None:
-    """``a = a J``, with the block-diagonal right Jacobian J (or its inverse) of the
-    retraction at d: the identity but for attitudes."""
+    """``a = a J``, for a (m, dim) and the right Jacobian J of the retraction at d (dim,).
+
+    J, or its inverse, is block-diagonal: J_r on attitudes, the identity elsewhere.
+    """
     row = np.empty(3)
     for k in range(kinds.shape[0]):
         if kinds[k, 0]:
@@ -66,7 +71,7 @@ def times_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool) -> None:
 
 @jit
 def times_transposed_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool) -> None:
-    """``a = a J^T``: the right Jacobian at -d is the transpose of that at d."""
+    """``a = a J^T``, for a (m, dim): the right Jacobian at -d is the transpose of that at d."""
     back = np.empty(d.shape[0])
     for i in range(d.shape[0]):
         back[i] = -d[i]
@@ -83,13 +88,13 @@ def block_jacobian(d: Array, kinds: Indices, inverse: bool) -> Array:
 
 @jit_loop(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
 def retract_all(x: Array, d: Array, kinds: Indices, out: Array) -> None:
-    """:func:`retract` for each row."""
+    """:func:`retract` for each row of x (N, size) and d (N, dim), into out (N, size)."""
     for k in range(x.shape[0]):
         dense.put_vector(out[k], 0, retract(x[k], d[k], kinds))
 
 
 @jit_loop(MATRIX, MATRIX, INDEX_MATRIX, MATRIX)
 def local_all(a: Array, b: Array, kinds: Indices, out: Array) -> None:
-    """:func:`local` for each row."""
+    """:func:`local` for each row of a and b (N, size), into out (N, dim)."""
     for k in range(a.shape[0]):
         dense.put_vector(out[k], 0, local(a[k], b[k], kinds, out.shape[1]))

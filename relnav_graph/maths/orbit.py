@@ -56,7 +56,7 @@ class KeplerOrbit:
 
 
 def orbit_array(orbit: KeplerOrbit | None) -> Array:
-    """The orbit as kernels want it; zeros for None."""
+    """The orbit as kernels take it, (4,): see the head of this module; zeros for None."""
     return np.zeros(4) if orbit is None else orbit.array()
 
 

@@ -34,7 +34,7 @@ def cross(a: Array, b: Array) -> Array:
 
 @jit
 def put_cross(out: Array, row: int, column: int, a: Array, b: Array, factor: float) -> None:
-    """Write ``factor a x b`` into one row of a matrix, from `column` on."""
+    """Write ``factor a x b``, of vectors (3,), into one row of a matrix, from `column` on."""
     out[row, column] = factor * (a[1] * b[2] - a[2] * b[1])
     out[row, column + 1] = factor * (a[2] * b[0] - a[0] * b[2])
     out[row, column + 2] = factor * (a[0] * b[1] - a[1] * b[0])
@@ -116,7 +116,7 @@ def quaternion(matrix: Array) -> Array:
 
 @jit(from_python=True)
 def from_quaternion(q_wxyz: Array) -> Array:
-    """Rotation matrix of a Hamilton quaternion, scalar first; normalises it."""
+    """Rotation matrix (3, 3) of a Hamilton quaternion (4,), scalar first; normalises it."""
     n = norm(q_wxyz)
     v = np.empty(3)
     for i in range(3):
@@ -139,14 +139,14 @@ def log(matrix: Array) -> Array:
 
 @jit
 def right_jacobian(phi: Array) -> Array:
-    """``J_r``: ``Exp(phi + d) = Exp(phi) Exp(J_r d)`` to first order."""
+    """``J_r`` (3, 3): ``Exp(phi + d) = Exp(phi) Exp(J_r d)`` to first order; phi (3,) in rad."""
     _, b, c = _coefficients(norm(phi))
     return _quadratic(phi, -b, c)
 
 
 @jit
 def right_jacobian_inverse(phi: Array) -> Array:
-    """Inverse of :func:`right_jacobian`; finite for angles below 2 pi."""
+    """Inverse (3, 3) of :func:`right_jacobian` at phi (3,) in rad; finite below 2 pi rad."""
     t = norm(phi)
     s = t * t
     if t < _SERIES:
@@ -158,9 +158,10 @@ def right_jacobian_inverse(phi: Array) -> Array:
 
 @jit
 def project(matrix: Array) -> Array:
-    """`matrix` with its rounding errors removed: the rotation nearest to first order.
+    """The rotation (3, 3) nearest to `matrix` (3, 3) to first order: without rounding errors.
 
-    One Newton step of the polar decomposition; for products of many rotations.
+    One Newton step of the polar decomposition, ``M (3 I - M^T M) / 2``; for products of many
+    rotations.
     """
     correction = transposed_matmul(matrix, matrix)
     for i in range(3):
