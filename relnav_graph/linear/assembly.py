@@ -37,7 +37,7 @@ __all__ = ["Assembly", "MeasurementRows", "ProcessRows"]
 
 @dataclass(frozen=True, eq=False)
 class ProcessRows:
-    """Whitened rows of all intervals: e + A d_k + B d_k+1. (M, n), (M, n, n) twice."""
+    """Whitened rows e + A d_k + B d_k+1 of all intervals, d tangent: e (M, n); A, B (M, n, n)."""
 
     e: Array
     A: Array
@@ -46,7 +46,10 @@ class ProcessRows:
 
 @dataclass(frozen=True, eq=False)
 class MeasurementRows:
-    """Whitened rows of all observations: r + H d. (R,), (R, n); status (observations,)."""
+    """Whitened rows r + H d of all observations, d the tangent vector of their epoch.
+
+    r (R,); H (R, n); status (observations,): 0, or why an observation is impossible.
+    """
 
     r: Array
     H: Array
@@ -54,28 +57,29 @@ class MeasurementRows:
 
 
 class _Store:
-    """Numbers, one after the other, in one array; where each piece stands."""
+    """Collects arrays into one long vector, and says where each of them stands in it."""
 
     def __init__(self, dtype: Any) -> None:
         self.dtype, self.size = dtype, 0
         self.parts: list[NDArray[Any]] = []
 
     def add(self, values: Any) -> tuple[int, int]:
-        """Begin and end of the values."""
+        """Append values of any shape, row by row; returns where they begin and end."""
         part = np.ascontiguousarray(values, dtype=self.dtype).reshape(-1)
         self.parts.append(part)
         self.size += len(part)
         return self.size - len(part), self.size
 
     def array(self) -> Any:
-        """Everything."""
+        """All that was added, (size,)."""
         return np.concatenate([np.zeros(0, self.dtype), *self.parts])
 
 
 def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Array) -> ProcessRows:
     """Rows of intervals that lead to x1 (M, size), predicted as x_next (M, size).
 
-    F (M, n, columns): sensitivity of x_next; whiten (M, n, n).
+    F (M, n, columns): sensitivity of x_next; whiten (M, n, n): of the process noise. For the
+    equations see `relnav_graph.linear.rows.interval_rows`.
     """
     out = ProcessRows(np.empty(F.shape[:2]), np.empty(F.shape), np.empty(whiten.shape))
     arrays = [np.ascontiguousarray(a) for a in (x_next, x1, F, whiten)]
@@ -156,15 +160,17 @@ class Assembly:
         )
 
     def again(self, epoch: Epoch, t_before: float | None) -> Assembly:
-        """Another epoch of the same models: what the constructor makes of it, for a third of
-        its cost."""
+        """The assembly of another epoch with the same models.
+
+        t_before: s, see the class. Equal to a new one, at a third of the constructor's cost.
+        """
         one = copy(self)
         one._take([epoch], t_before, False)
         return one
 
     @classmethod
     def of(cls, problem: Problem) -> Assembly:
-        """All epochs of a problem, which has checked them itself."""
+        """The assembly of all epochs of a problem, which has checked them already."""
         models = problem.layout, problem.processes, problem.sensors
         return cls(*models, problem.epochs, checked=True)
 
@@ -208,8 +214,10 @@ class Assembly:
         return out
 
     def at(self, k: int) -> Assembly:
-        """Epoch k alone, with the interval that leads to it: what the constructor makes
-        of it, without its cost."""
+        """The assembly of epoch k alone, with the interval that leads to it.
+
+        Equal to a new one, without the cost of the constructor.
+        """
         one, tables = copy(self), self.tables
         first, last = self.epoch_offsets[k : k + 2]
         one.times = self.times[k : k + 1]
@@ -231,8 +239,11 @@ class Assembly:
 
     @classmethod
     def join(cls, parts: Sequence[Assembly]) -> Assembly:
-        """Adjoining parts of one pass as one: what the constructor makes of all their
-        epochs, without its cost. All but the first have the interval that leads to them."""
+        """Adjoining parts of one pass as one assembly.
+
+        Equal to a new one of all their epochs, without the cost of the constructor. Every part
+        but the first must have the interval that leads to it.
+        """
         one = copy(parts[0])
         base, numbers, size = dict[int, int](), list[Array](), 0
         observations, intervals, epochs, rows, count = [], [], [], [], 0
@@ -267,8 +278,10 @@ class Assembly:
         return one
 
     def preceded(self) -> Assembly:
-        """With one more epoch in front, without measurements, where its first interval
-        starts."""
+        """The same with one more epoch in front, at the start of the first interval.
+
+        The new epoch has no measurements.
+        """
         one = copy(self)
         one.times = np.concatenate([self.tables.starts[:1], self.times])
         one.epoch_offsets = np.concatenate([[0], self.epoch_offsets])
@@ -285,17 +298,19 @@ class Assembly:
         return rows
 
     def rows_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of all rows belong to the chosen observations."""
+        """Which rows belong to the chosen observations: (observations,) to (R,)."""
         return np.repeat(chosen, self.heights)
 
     def by_sensor(self, values: NDArray[np.bool_]) -> dict[str, int]:
-        """How many of the marked observations each sensor has made."""
+        """How many of the marked observations each sensor has made; values (observations,)."""
         counts = np.bincount(self.sensor_of[values], minlength=len(self.sensor_names))
         return {name: int(n) for name, n in zip(self.sensor_names, counts, strict=True)}
 
     def check(self, status: Indices, first: int = 0) -> None:
-        """Raise ModelError when a kernel broke its contract at an observation; status: of
-        those from `first` on."""
+        """Raise ModelError when a kernel broke its contract at an observation.
+
+        status (count,): of the observations from `first` on.
+        """
         if len(status) and status.min() < 0:
             i = int(np.nonzero(status < 0)[0][0])
             o = first + i
@@ -322,7 +337,10 @@ class Assembly:
 
     def check_propagated(self, failure: Indices) -> None:
         """Raise ModelError when a kernel broke its contract in an interval, GeometryError
-        when it could not propagate; failure (3,): interval, process, status."""
+        when the kernel could not propagate.
+
+        failure (3,): interval, process, status.
+        """
         k, i, code = (int(v) for v in failure)
         if code == 0:
             return
@@ -334,7 +352,10 @@ class Assembly:
         raise GeometryError(f"{where}: {process.failure(code)}")
 
     def predict(self, x: Array, P: Array) -> tuple[Array, Array]:
-        """x (size,) and P (n, n) at the end of the only interval. Raises as `transition`."""
+        """``x- = f(x)``, ``P- = F P F^T + Q`` at the end of the only interval.
+
+        x: (size,); P: (n, n). Returns the same shapes. Raises as `transition`.
+        """
         ahead, F, Q = self.transition(x[None])
         P = F[0] @ P @ F[0].T + Q[0]
         return ahead[0], 0.5 * (P + P.T)
@@ -342,6 +363,7 @@ class Assembly:
     def transition(self, x: Array) -> tuple[Array, Array, Array]:
         """x_next (M, size), F and Q (M, n, n) of all intervals, from x (M, size).
 
+        For what these are see `relnav_graph.linear.rows.propagate`.
         Raises ModelError when a kernel breaks its contract, GeometryError when it says
         that an interval cannot be propagated.
         """
@@ -353,7 +375,11 @@ class Assembly:
         return x_next, F, Q
 
     def whitening(self, Q: Array) -> Array:
-        """Whitening matrices (M, n, n) of the process noise. Raises InputError."""
+        """Whitening matrices (M, n, n) of the process noise Q (M, n, n).
+
+        A state without noise gets a very small one. Raises InputError when Q is not positive
+        definite.
+        """
         whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
         if not np.einsum("kii->ki", Q).all():
             Q = with_constraints(Q)
@@ -365,7 +391,9 @@ class Assembly:
         return whiten
 
     def process(self, x: Array, whiten: Array) -> ProcessRows:
-        """Rows of all intervals between the states x (M + 1, size). Raises as
-        :meth:`transition` does."""
+        """Whitened rows of all intervals between the states x (M + 1, size).
+
+        whiten: (M, n, n). Raises as :meth:`transition` does.
+        """
         x_next, F, _ = self.transition(np.ascontiguousarray(x[:-1]))
         return process_rows(self.layout, x_next, x[1:], F, whiten)

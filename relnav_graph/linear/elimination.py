@@ -3,10 +3,16 @@
 The pass is a chain of epochs. Going forward in time, the rows of each epoch (what is known of
 it from before, its measurements, the interval that follows) are brought to triangular form
 by orthogonal reflections: a square-root information filter (Bierman 1977; Kaminski, Bryson,
-Schmidt 1971). Nothing is squared, so that any ratio of process to state noise will do. What
-is left of each epoch is its conditional density given the next one; going back gives the
-step and all marginal covariances. `relnav_graph.linear.gtsam_chain` has GTSAM do the same with the
-same rows, as the check.
+Schmidt 1971). No normal equations are formed, so that any ratio of process to state noise will
+do. With y_k the step of epoch k:
+
+    Q^T [V, 0, v; H, 0, -r; A, B, -e] = [R, S, d; 0, V', v'; 0, 0, rest]
+
+Here V y_k = v is what is known from before, r + H y_k the measurements, e + A y_k + B y_k+1
+the interval, and V', v' what is known of the next epoch. R y_k + S y_k+1 = d is the
+conditional of epoch k given the next one. Back substitution gives the step and all marginal
+covariances. `relnav_graph.linear.gtsam_chain` has GTSAM do the same with the same rows, as the
+check.
 """
 
 from __future__ import annotations
@@ -44,7 +50,7 @@ class Anchor:
     d: Array
 
     def rows(self, layout: Layout, x: Array) -> tuple[Array, Array]:
-        """Whitened rows e + A d at x (size,): (n,), (n, n)."""
+        """Whitened rows e + A y at x (size,), y the step: e (n,), A (n, n)."""
         if np.array_equal(x, self.x):
             return -self.d, self.W
         e = layout.local(self.x, x)
@@ -52,13 +58,16 @@ class Anchor:
 
 
 def anchor_of(prior: Prior) -> Anchor:
-    """The prior as an anchor."""
+    """The prior as an anchor: W the inverse Cholesky factor of its P, d = 0."""
     return Anchor(prior.x, inverse_cholesky("the prior", prior.P), np.zeros(len(prior.P)))
 
 
 @jit
 def _put_rows(a: Array, row: int, e: Array, A: Array) -> float:
-    """Write rows ``A d = -e``, from `row` on; their squared length."""
+    """Write the equations ``A y = -e`` into a, from `row` on; returns ``|e|^2``.
+
+    e: (rows,); A: (rows, n); -e goes to column n of a, A to the columns before it.
+    """
     squares, n = 0.0, A.shape[1]
     dense.put_block(a, row, 0, A, 1.0)
     for i in range(e.shape[0]):
@@ -91,10 +100,13 @@ def _sweep(
     cost: Array,
     failure: Indices,
 ) -> None:
-    """Conditionals R, S, d at the trajectory x (N, size), and half the squared residuals.
+    """Fill the conditionals R, S, d at the trajectory x (N, size): the head of this module.
 
-    damping (N, n): further rows on the diagonal, or (0, n). known (N, n, n + 1): gets U, u of
-    each epoch, see `System`; or (0, n, n + 1).
+    whiten (N - 1, n, n), weight (observations,): as of `linearize`; prior_e (n,), prior_A
+    (n, n): rows of the anchor; damping (N, n): diagonals of further rows, or (0, n) for none.
+    Fills R (N, n, n), S (N - 1, n, n), d (N, n); known (N, n, n + 1): U, u of each epoch, see
+    `System`, or (0, n, n + 1) for none; status (observations,); cost (1,): half the sum of the
+    squared residuals; failure (3,): interval, process, status.
     """
     count, n = d.shape
     most, damped = 0, damping.shape[0] > 0
@@ -149,7 +161,10 @@ def _sweep(
 
 @jit_loop(STACK, STACK, MATRIX, VECTOR, types.int64, MATRIX)
 def _back_substitute(R: Array, S: Array, d: Array, end: Array, known: int, out: Array) -> None:
-    """known: whether `end` gives the last epoch's."""
+    """``y_k = R_k^-1 (d_k - S_k y_k+1)``, backwards, into out (N, n).
+
+    known: 1 when `end` (n,) gives the step of the last epoch, 0 when R and d do.
+    """
     count, n = d.shape
     for k in range(count - 1, -1, -1):
         for i in range(n - 1, -1, -1):
@@ -167,8 +182,10 @@ def _back_substitute(R: Array, S: Array, d: Array, end: Array, known: int, out: 
 
 @jit_loop(STACK, STACK, STACK, types.int64)
 def _covariances(R: Array, S: Array, P: Array, known: int) -> None:
-    """P_k = R^-1 (I + S P_k+1 S^T) R^-T, backwards from P_N = (R^T R)^-1, or, where that is
-    known better, from what P holds there."""
+    """``P_k = R_k^-1 (I + S_k P_k+1 S_k^T) R_k^-T``, backwards, into P (N, n, n).
+
+    known: 1 when P holds that of the last epoch already, 0 to start from ``(R^T R)^-1``.
+    """
     count, n = R.shape[0], R.shape[1]
     inner = dense.identity(n)
     if not known:
@@ -182,23 +199,30 @@ def _covariances(R: Array, S: Array, P: Array, known: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Conditionals:
-    """R_k d_k + S_k d_k+1 = d_k of every epoch: (N, n, n), (N - 1, n, n), (N, n)."""
+    """``R_k y_k + S_k y_k+1 = d_k`` of every epoch, y_k its step.
+
+    R (N, n, n), upper triangular; S (N - 1, n, n); d (N, n).
+    """
 
     R: Array
     S: Array
     d: Array
 
     def solution(self, end: Array | None = None) -> Array:
-        """The Gauss-Newton step (N, n); end (n,): that of the last epoch, where it is known
-        better."""
+        """The Gauss-Newton step ``y_k = R_k^-1 (d_k - S_k y_k+1)``, (N, n).
+
+        end (n,): the step of the last epoch, where data beyond this part determine it.
+        """
         out = np.empty_like(self.d)
         last = self.d[-1] if end is None else np.ascontiguousarray(end)
         _back_substitute(self.R, self.S, self.d, last, int(end is not None), out)
         return out
 
     def covariances(self, end: Array | None = None) -> Array:
-        """Marginal covariances (N, n, n) of all epochs; end (n, n): that of the last one,
-        where it is known better."""
+        """Marginal covariances ``P_k = R_k^-1 (I + S_k P_k+1 S_k^T) R_k^-T``, (N, n, n).
+
+        end (n, n): that of the last epoch, where data beyond this part determine it.
+        """
         P = np.empty_like(self.R)
         if end is not None:
             P[-1] = end
@@ -206,8 +230,7 @@ class Conditionals:
         return P
 
     def decrease(self) -> float:
-        """By how much the linear system's cost falls: half the squared length of the
-        step in units of sigma."""
+        """``|d|^2 / 2``: by how much the step lowers the cost of the linear system."""
         return 0.5 * float(np.sum(self.d**2))
 
 
@@ -215,9 +238,9 @@ class Conditionals:
 class System:
     """A pass linearised at the trajectory x (N, size) and eliminated.
 
-    cost: half the sum of all squared whitened residuals; status: of the observations. known
-    (N, n, n + 1), where asked for: U, u of each epoch, of what all up to it tells of its own
-    d, U d - u ~ N(0, I).
+    cost: half the sum of all squared whitened residuals; status (observations,). known
+    (N, n, n + 1), where asked for, otherwise (0, n, n + 1): U, u of each epoch. All data up to
+    an epoch tell of its step y that U y - u ~ N(0, I).
     """
 
     x: Array
@@ -239,9 +262,10 @@ def linearize(
 ) -> System:
     """Linearise at the trajectory x (N, size) and eliminate.
 
-    whiten (N - 1, n, n): of the process noise; weight: of the observations; damping
-    (N, n): diagonals of further rows d_k ~ 0; keep: what was known at each epoch; into: of a
-    pass of this length, and needed no more: fresh memory costs a long pass a third.
+    whiten (N - 1, n, n): whitening matrices of the process noise; weight (observations,):
+    square roots of robust weights; damping (N, n): diagonals D_k of further rows D_k y_k = 0;
+    keep: whether to fill `System.known`; into: conditionals of a pass of this length that are
+    no longer needed, overwritten, since fresh memory costs a long pass a third of its time.
     Raises ModelError or GeometryError when a model cannot be evaluated, EstimationError when
     the system is not finite or does not determine every epoch.
     """
@@ -261,7 +285,7 @@ def linearize(
     assembly.check(status)
     assembly.check_propagated(failure)
     diagonals = np.einsum("kii->ki", R)
-    # A NaN spreads to all that follows it, so the last epoch tells.
+    # A NaN in R spreads to the R of all later epochs: looking at the last one is enough.
     if not (np.isfinite(d).all() and np.isfinite(R[-1]).all()):
         raise EstimationError("the factor graph's linear system is not finite")
     if not diagonals.all():

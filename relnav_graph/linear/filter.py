@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 
-# What stopped a step: the first of four numbers, before process or observation and status.
+# What stopped a step: the first of the four numbers of `failure`, see `filter_epochs`.
 PROPAGATED, SENSOR_BROKE, NOT_POSITIVE, NOT_FINITE = 1, 2, 3, 4
 FAILURES = {
     NOT_POSITIVE: "the covariance is not positive definite",
@@ -47,10 +47,11 @@ def _gate(
     weight: Array,
     squares: Array,
 ) -> None:
-    """Leave out the observations whose innovation is beyond their limit, each on its own.
+    """Leave out each observation i with ``r_i^T S_ii^-1 r_i > limit_i``: its weight becomes 0.
 
-    squares: gets the mean squares of the normalised innovations, where limit or loss want
-    them.
+    S (rows, rows): innovation covariance; r (rows,); limit, weight (observations,); losses
+    (observations, 2). squares (observations,): gets ``r_i^T S_ii^-1 r_i / rows_i`` of the
+    observations with a finite limit or a loss.
     """
     for i in range(weight.shape[0]):
         if weight[i] == 0.0 or not (np.isfinite(limit[i]) or losses[i, 0] != 0.0):
@@ -81,9 +82,10 @@ def _finite(v: Array) -> bool:
 class FilterInput(NamedTuple):
     """What a filter is given beside the tables of a pass.
 
-    epoch_offsets, row_offsets (N + 1,): where each epoch's observations and rows begin; kinds:
-    of the state's blocks, see `relnav_graph.maths.manifold`; limits (observations,): of the
-    gate; losses (observations, 2): kind and tuning of the robust ones.
+    epoch_offsets, row_offsets (N + 1,): where each epoch's observations and rows begin; kinds
+    (blocks, 4): of the state's blocks, see `relnav_graph.maths.manifold`; limits
+    (observations,): largest squared normalised innovation that passes the gate, inf for no
+    gate; losses (observations, 2): kind and tuning of the robust loss, kind 0 for none.
     """
 
     epoch_offsets: Indices
@@ -96,8 +98,9 @@ class FilterInput(NamedTuple):
 class FilterOutput(NamedTuple):
     """What a filter fills in; see `filter_epochs`.
 
-    x_predicted (N, size), P_predicted (N, n, n), F (N or 1, n, n), Q (1, n, n), x (N, size),
-    P (N, n, n), nis and used (N,): by epoch; weights (observations,).
+    x_predicted (N, size), P_predicted (N, n, n): before the update; F (N or 1, n, n), Q
+    (1, n, n): of the interval that leads to the epoch; x (N, size), P (N, n, n): after the
+    update; nis, used (N,); weights (observations,).
     """
 
     x_predicted: Array
@@ -135,11 +138,11 @@ def filter_epochs(
 
         x- = f(x),  P- = F P F^T + Q;   then x, P by `relnav_graph.linear.update.update`
 
-    x_before (size,), P_before (n, n): the state that the first of them starts from. Fills, by
-    epoch, predictions, F and Q (which may have room for one epoch only, then the last one's),
-    x, P, nis and used (squared normalised innovation of the rows used, and their number); by
-    observation, weights (the square root of a robust one, 0 for one left out). failure (4,):
-    what stopped it, process or observation, status, epoch.
+    x_before (size,), P_before (n, n): the estimate before epoch `begin`; epochs begin to
+    end - 1 are done. Fills `out`, where nis is ``r^T (H P- H^T + I)^-1 r`` of the rows used,
+    `used` the number of these rows, and `weights` the square root of a robust weight, 0 for an
+    observation left out. F and Q may have room for one epoch only: then they keep the last
+    one's. failure (4,): what stopped the filter, process or observation, status, epoch.
     """
     epoch_offsets, row_offsets, kinds = given.epoch_offsets, given.row_offsets, given.kinds
     limit, losses, weight = given.limits, given.losses, out.weights
@@ -234,7 +237,11 @@ def _measured_epoch(
     used: Indices,
     failure: Indices,
 ) -> None:
-    """Weights of an epoch's observations, by their innovations at the prediction."""
+    """Gate epoch k: fill weights, squares, nis[k] and used[k] from the innovations.
+
+    x (size,), P (n, n): the prediction; limit, weight, squares (observations of the epoch,);
+    losses (observations of the epoch, 2); rows: number of their rows; nis, used (N,).
+    """
     n = P.shape[0]
     r, H, S = np.empty(rows), np.empty((rows, n)), np.empty((rows, rows))
     status = np.empty(last - first, np.int64)
@@ -250,7 +257,7 @@ def _measured_epoch(
         weight[i] = 1.0 if status[i] == 0 else 0.0
     innovation_covariance(H, P, S)
     _gate(tables, S, r, limit, losses, first, weight, squares)
-    # Rows that are not used stand aside: nothing seen, nothing to see.
+    # Rows that are not used become zero: they then add nothing to the misfit.
     for i in range(last - first):
         start, count = rows_of(tables.observations, tables.sensors, first, i)
         if weight[i] != 0.0:

@@ -27,20 +27,29 @@ __all__ = [
 
 
 def epoch_factor(key: int, A: Array, error: Array) -> gtsam.JacobianFactor:
-    """The factor of whitened rows ``error + A d`` on one epoch."""
+    """The factor ``|error + A d|^2 / 2`` of whitened rows on one epoch's step d.
+
+    A: (rows, n); error: (rows,). key: number of the epoch.
+    """
     return gtsam.JacobianFactor(key, A, -error, gtsam.noiseModel.Unit.Create(len(error)))
 
 
 def interval_factor(key: int, A: Array, B: Array, error: Array) -> gtsam.JacobianFactor:
-    """The factor of whitened rows ``error + A d_key + B d_key+1``."""
+    """The factor ``|error + A d_key + B d_key+1|^2 / 2`` of whitened rows on two epochs' steps.
+
+    A, B: (rows, n); error: (rows,). key: number of the earlier epoch.
+    """
     model = gtsam.noiseModel.Unit.Create(len(error))
     return gtsam.JacobianFactor(key, A, key + 1, B, -error, model)
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The whitened rows of a pass at one trajectory: of the anchor e + A d_0, of the
-    intervals and of the measurements; offsets (N + 1,): where each epoch's of these begin."""
+    """The whitened rows of a pass at one trajectory.
+
+    e (n,), A (n, n): rows e + A d_0 of the anchor; process: of the intervals; measurements: of
+    the observations; offsets (N + 1,): where each epoch's measurement rows begin.
+    """
 
     e: Array
     A: Array
@@ -50,8 +59,11 @@ class Rows:
 
 
 def chain_rows(assembly: Assembly, anchor: Anchor, x: Array, whiten: Array, weight: Array) -> Rows:
-    """Rows at the trajectory x (N, size); arguments and errors as of
-    `relnav_graph.linear.elimination.linearize`."""
+    """The whitened rows of a pass at the trajectory x (N, size).
+
+    whiten: (N - 1, n, n); weight: (observations,). Arguments and errors as of
+    `relnav_graph.linear.elimination.linearize`.
+    """
     e, A = anchor.rows(assembly.layout, x[0])
     measurements, process = assembly.measure(x, weight), assembly.process(x, whiten)
     return Rows(e, A, process, measurements, assembly.row_offsets)
@@ -71,8 +83,12 @@ def chain_factors(rows: Rows) -> list[gtsam.JacobianFactor]:
 
 
 def eliminate(factors: list[gtsam.JacobianFactor], count: int, n: int) -> Conditionals:
-    """Eliminate the epochs in order of time, by QR: GTSAM's Cholesky would reject ordinary
-    ratios of process to state noise. Raises RuntimeError when they are not determined."""
+    """Eliminate the epochs in order of time, by QR.
+
+    count: number N of epochs; n: dimension of an epoch's tangent. GTSAM's Cholesky would reject
+    ordinary ratios of process to state noise. Raises RuntimeError when the factors do not
+    determine every epoch.
+    """
     graph, ordering = gtsam.GaussianFactorGraph(), gtsam.Ordering()
     for factor in factors:
         graph.push_back(factor)

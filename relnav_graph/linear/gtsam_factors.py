@@ -3,8 +3,9 @@
 The only module that builds a `CustomFactor`. Keys map to blocks in the order in which a
 model names them: an attitude block is a `gtsam.Rot3`, any other a vector. The residual is
 whitened inside, so the factor's noise model is a unit one. Every Jacobian comes out of a
-buffer of the right size, is checked to be filled, and a kernel that writes past it is
-found out before GTSAM sees the factor: there a wrong shape is a segmentation fault.
+buffer of the right size and is checked to be filled. A kernel that writes past its buffer is
+found out before GTSAM sees the factor, since GTSAM answers a wrong shape with a segmentation
+fault.
 
 Inside `ISAM2` keep a reference to ``isam.getLinearizationPoint()`` while updating: without
 it, GTSAM copies all its values for each call of each factor.
@@ -31,14 +32,15 @@ __all__ = ["insert_block", "measurement_factor", "process_factor", "read_block"]
 def insert_block(values: gtsam.Values, key: int, block: Block, value: Array) -> None:
     """Insert the value of a block under a key, as the factors expect it.
 
-    Raises InputError when the value is not one of the block's.
+    value: (3, 3) for an attitude, (dim,) otherwise; SI. Raises InputError when the value has
+    another shape, is not finite, or is no rotation.
     """
     stored = block.pack(value)
     values.insert(key, gtsam.Rot3(block.unpack(stored)) if block.manifold == "SO3" else stored)
 
 
 def read_block(values: gtsam.Values, key: int, block: Block) -> Array:
-    """The value of a block under a key: (3, 3) for an attitude, (dim,) otherwise."""
+    """The value of a block under a key: (3, 3) for an attitude, (dim,) otherwise; SI."""
     if block.manifold == "SO3":
         return values.atRot3(key).matrix()
     return values.atVector(key)
@@ -66,8 +68,9 @@ def _check_keys(kind: str, keys: Sequence[int], blocks: Sequence[Block]) -> None
 
 
 def measurement_factor(sensor: Sensor, m: Measurement, keys: Sequence[int]) -> gtsam.CustomFactor:
-    """The factor of one measurement; keys: of the blocks that the sensor reads.
+    """The factor of one measurement: whitened residuals (count * rows,) of its observations.
 
+    keys: of the blocks that the sensor reads, in their order.
     Evaluating it raises GeometryError when an observation is impossible at the values,
     and ModelError when the model breaks its contract. Raises InputError on wrong keys.
     """
@@ -109,8 +112,9 @@ def process_factor(
 
     t: start of the interval, s; u (rows, 1 + channels): its inputs, see
     `relnav_graph.core.models`; keys: of the blocks advanced and read, at the start; keys_next:
-    of the advanced blocks, at the end; noise_at: values of the former at which the noise
-    is taken, once. Raises InputError on wrong keys or a noise that is not regular.
+    of the advanced blocks, at the end; noise_at: values of the blocks of `keys`, (3, 3) or
+    (dim,), at which the process noise is evaluated, once. Raises InputError on wrong keys or
+    a noise covariance that is not positive definite.
     """
     blocks = process.advances + process.reads
     layout, advanced = Layout(blocks), Layout(process.advances)

@@ -1,7 +1,10 @@
 """The compiled loops that linearise all observations of the sensors and intervals of the processes.
 
-Compiled once for all models: a kernel comes as an address. A kernel that leaves an entry
-unfilled, or writes past its arrays, is found out here.
+The loops are compiled once for all models: they call a kernel by its address. They find out a
+kernel that leaves an entry unfilled or writes past its arrays.
+
+A linearised observation is r + H d, a linearised interval e + A d_k + B d_k+1, with d the
+tangent vector of a whole epoch's state.
 """
 
 from __future__ import annotations
@@ -62,7 +65,7 @@ BROKEN = {UNFILLED: "left an entry unfilled or not finite", OUTSIDE: "wrote past
 
 @jit
 def _guarded(n: int) -> Array:
-    """A buffer for n numbers with guards on both sides."""
+    """A buffer for n numbers with guards on both sides, (n + 2 GUARD,)."""
     return np.full(n + 2 * GUARD, MARK)
 
 
@@ -87,13 +90,13 @@ def _verdict(buffer: Array) -> int:
 
 @jit
 def _matrix(numbers: Array, start: int, rows: int, columns: int) -> Array:
-    """The matrix whose rows stand in `numbers` from `start` on."""
+    """The matrix (rows, columns) whose rows stand in `numbers` from `start` on: a view."""
     return numbers[start : start + rows * columns].reshape(rows, columns)
 
 
 @jit
 def _gather(x: Array, places: Indices, out: Array) -> None:
-    """The stored values of some blocks of a state x (size,)."""
+    """``out = x[places]``: the stored values of some blocks of a state x (size,)."""
     for i in range(places.shape[0]):
         out[i] = x[places[i]]
 
@@ -110,17 +113,18 @@ def observe(
     H: Array,
     status: Indices,
 ) -> None:
-    """Fill r, H and status (last - first,) for some adjoining observations, in order of time.
+    """Fill the whitened rows ``r + H d`` of observations first to last - 1, in order of time.
 
-    x (N, size): states, from `epoch` on. Rows of observations whose status is not 0, or
-    whose weight is 0, are zero.
+    x (N, size): states, from `epoch` on; weight (last - first,): square roots of robust
+    weights. Fills r (rows,), H (rows, n), status (last - first,). Rows of observations whose
+    status is not 0, or whose weight is 0, are zero.
     """
     for i in range(r.shape[0]):
         r[i] = 0.0
         for j in range(H.shape[1]):
             H[i, j] = 0.0
     start, sensor_of = first, tables.observations[:, SENSOR]
-    while start < last:  # a run of one sensor's
+    while start < last:  # one turn for each run of observations of the same sensor
         stop, sensor = start + 1, sensor_of[start]
         while stop < last and sensor_of[stop] == sensor:
             stop += 1
@@ -143,7 +147,10 @@ def _observe_run(
     H: Array,
     status: Indices,
 ) -> None:
-    """:func:`observe` of those from `start` to `stop`, which are one sensor's."""
+    """:func:`observe` of observations start to stop - 1, all of one sensor.
+
+    sensor: (8,), its row of the table; the other arrays as in :func:`observe`.
+    """
     observations, places, numbers = tables.observations, tables.places, tables.numbers
     p = numbers[sensor[P] : sensor[P + 1]]
     gather = places[sensor[GATHER] : sensor[GATHER + 1]]
@@ -181,9 +188,10 @@ def _observe_run(
 def propagate(
     tables: Tables, k: int, x: Array, x_next: Array, F: Array, Q: Array
 ) -> tuple[int, int]:
-    """Fill x_next (size,), F and Q (n, n) of interval k from x (size,).
+    """Fill x_next (size,), F and Q (n, n) of interval k from the state x (size,).
 
-    The number of the process that could not, and its status; -1, 0 when all could.
+    ``x_next = f(x)``, ``F = d x_next / d x`` between tangents, Q the covariance of the process
+    noise. Returns the number and status of the process that failed; -1, 0 when none did.
     """
     for i in range(F.shape[0]):
         for j in range(F.shape[1]):
@@ -225,7 +233,10 @@ def propagate(
 
 @jit_loop(TABLES, MATRIX, VECTOR, VECTOR, MATRIX, INDICES)
 def measure(tables: Tables, x: Array, weight: Array, r: Array, H: Array, status: Indices) -> None:
-    """Fill the rows r, H of all observations of a pass at the states x (N, size)."""
+    """Fill the whitened rows ``r + H d`` of all observations of a pass.
+
+    x: states (N, size); weight, status: (observations,); r: (R,); H: (R, n).
+    """
     observe(tables, 0, tables.observations.shape[0], 0, x, weight, r, H, status)
 
 
@@ -233,8 +244,9 @@ def measure(tables: Tables, x: Array, weight: Array, r: Array, H: Array, status:
 def transition(
     tables: Tables, x: Array, x_next: Array, F: Array, Q: Array, failure: Indices
 ) -> None:
-    """Propagate the states x (M, size) over all intervals, into x_next, F, Q.
+    """Propagate the states x (M, size) over all intervals.
 
+    Fills x_next (M, size), F and Q (M, n, n); see :func:`propagate`.
     failure (3,): interval, process and status where one cannot be propagated.
     """
     for k in range(tables.starts.shape[0]):
@@ -246,9 +258,10 @@ def transition(
 
 @jit_loop(TABLES, STACK, STACK, INDICES)
 def whitening(tables: Tables, Q: Array, whiten: Array, failure: Indices) -> None:
-    """Inverse Cholesky factors of the process noise Q (M, n, n), process by process.
+    """Inverse Cholesky factors ``W = L^-1``, ``L L^T = Q``, of the process noise Q (M, n, n).
 
-    failure (3,): interval, process and 1 where one is not positive definite.
+    Fills whiten (M, n, n), process by process: Q is block-diagonal. failure (3,): interval,
+    process and 1 where a block is not positive definite.
     """
     for a in range(tables.processes.shape[0]):
         process = tables.processes[a]
@@ -273,7 +286,10 @@ def whitening(tables: Tables, Q: Array, whiten: Array, failure: Indices) -> None
 def interval_row(
     x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
 ) -> None:
-    """:func:`interval_rows` of one interval."""
+    """:func:`interval_rows` of one interval.
+
+    x_next, x1: (size,); F: (n, columns); whiten: (n, n). Fills e (n,), A (n, columns), B (n, n).
+    """
     n = e.shape[0]
     error, left = local(x_next, x1, kinds, n), np.empty((n, n))
     for i in range(n):
@@ -291,9 +307,14 @@ def interval_row(
 def interval_rows(
     x_next: Array, x1: Array, F: Array, whiten: Array, kinds: Indices, e: Array, A: Array, B: Array
 ) -> None:
-    """e = local(propagate(x_k), x_k+1), whitened, with its exact Jacobians to both ends.
+    """Whitened rows ``e + A d_k + B d_k+1`` of intervals, with exact Jacobians to both ends.
 
-    On SO(3): e = Log(A^T B), de/db = J_r^-1(e), de/da = -J_r^-1(-e), the left inverse.
+        e = W v,  A = -W J_r^-1(-v) F,  B = W J_r^-1(v),  v = local(x_next, x1)
+
+    x_next (M, size): states propagated to the ends of the intervals; x1 (M, size): states
+    there; F (M, n, columns): sensitivity of x_next; whiten (M, n, n): W. Fills e (M, n),
+    A (M, n, columns), B (M, n, n). J_r is the right Jacobian on attitudes and the identity
+    elsewhere.
     """
     for k in range(x1.shape[0]):
         interval_row(x_next[k], x1[k], F[k], whiten[k], kinds, e[k], A[k], B[k])

@@ -1,4 +1,4 @@
-"""The compiled way back of the smoother that follows a filter."""
+"""The backward pass of the Rauch-Tung-Striebel smoother, compiled."""
 
 from __future__ import annotations
 
@@ -37,10 +37,19 @@ def backward(
     Ps: Array,
     failure: Indices,
 ) -> None:
-    """Smoothed xs (N, size) and, where wanted, covariances Ps (N, n, n) of a filter's pass.
+    """Smoothed states and, where wanted, covariances from those of a filter, backwards in time.
 
-    Rauch, Tung, Striebel 1965; the differences are tangent vectors and covariances move
-    between tangents by the right Jacobian.
+        G = P_k F_k+1^T (P-_k+1)^-1
+        xs_k = x_k (+) G d,  d = local(x-_k+1, xs_k+1)
+        Ps_k = P_k + G (Ps_k+1 - P-_k+1) G^T
+
+    kinds (blocks, 4); x (N, size), P (N, n, n): filtered; x_predicted (N, size), P_predicted
+    (N, n, n): x-, P-; F (N, n, n): F[k] leads to epoch k. Fills xs (N, size) and, where
+    `covariances` is not 0, Ps (N, n, n). failure (4,): as of
+    `relnav_graph.linear.filter.filter_epochs`.
+
+    Rauch, Tung, Striebel 1965. Ps_k+1 is first moved to the tangent of x-_k+1, and Ps_k last
+    to the tangent of xs_k, by the right Jacobian.
     """
     count, n = P.shape[0], P.shape[1]
     scale, L, gain_T = np.empty(n), np.empty((n, n)), np.empty((n, n))

@@ -1,7 +1,7 @@
 """A pass as tables of numbers, for compiled code.
 
-One row of integers per sensor, observation, process and interval says where each one's numbers
-stand in one long array.
+Compiled loops cannot follow Python objects. All numbers stand in one long array, and a row of
+integers for each sensor, observation, process and interval says where its own numbers begin.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ __all__ = [
 
 
 class Tables(NamedTuple):
-    """A pass for the compiled loops; what the columns are stands below.
+    """A pass for the compiled loops; the constants below name the columns.
 
-    sensors, observations, processes: one row each; intervals: one row each, of one pair for
-    each process; starts: of the intervals, s; places: in the state; numbers: all others.
+    sensors (sensors, 8), observations (observations, 8), processes (processes, 12): a row for
+    each; intervals (M, processes, 2): a pair for each interval and process; starts (M,): of
+    the intervals, s; places: indices into a state or its tangent; numbers: constants of the
+    models, data of the observations, whitening matrices and inputs, SI.
     """
 
     sensors: Indices
@@ -46,18 +48,21 @@ TABLES = types.NamedTuple(
     (INDEX_MATRIX, INDEX_MATRIX, INDEX_MATRIX, INDEX_STACK, VECTOR, INDICES, VECTOR), Tables
 )
 
-# Columns of the tables. X, X + 1: where X begins and ends, p, q, z, the whitening and u in
-# the numbers, the others in the places.
+# Columns of the tables. X is where a piece begins, X + 1 where it ends (for WHITEN and U_DATA:
+# only where it begins). P, Q_DATA, Z_DATA, WHITEN and U_DATA point into the numbers; GATHER,
+# COLUMNS and SCATTER, and ROWS of a process, into the places.
 ADDRESS, P, GATHER, COLUMNS = 0, 1, 3, 5  # of sensors and of processes
-ROWS = 7  # of a sensor: rows of an observation; of a process: places of the rows of F and Q
-SCATTER, WIDTH = 9, 11  # of processes; the width of u
+ROWS = 7  # of a sensor: number of rows of an observation; of a process: rows of F and Q
+SCATTER, WIDTH = 9, 11  # of processes: places of x_next; number of columns of u
 SENSOR, EPOCH, ROW, Q_DATA, Z_DATA, WHITEN = 0, 1, 2, 3, 5, 7  # of observations
-U_DATA, U_ROWS = 0, 1  # of intervals, one pair for each process
+U_DATA, U_ROWS = 0, 1  # of intervals, for each process: where u begins, its number of rows
 
 
 @jit
 def rows_of(observations: Indices, sensors: Indices, first: int, i: int) -> tuple[int, int]:
-    """Where the rows of observation first + i begin, counted from those of `first`, and how
-    many they are."""
+    """Start and number of the rows of observation first + i, counted from the rows of `first`.
+
+    observations: (observations, 8); sensors: (sensors, 8); see `Tables`.
+    """
     one = observations[first + i]
     return one[ROW] - observations[first, ROW], sensors[one[SENSOR], ROWS]

@@ -1,6 +1,6 @@
 """The compiled measurement update of a filter.
 
-Rows are whitened: the noise of the measurements is the unit matrix.
+Rows r + H d are whitened: the covariance of the measurement noise is the unit matrix.
 """
 
 from __future__ import annotations
@@ -35,14 +35,17 @@ __all__ = [
     "to_tangent",
 ]
 
-#: Rounds of reweighting, at most; the first ones with a convex loss; and the change of a
-#: weight's root that ends them.
+#: Most rounds of reweighting; how many of them, first, take a convex loss instead; and the
+#: change of a weight's square root below which the rounds end.
 ROUNDS, CONVEX_ROUNDS, WEIGHT_TOLERANCE = 40, 4, 1e-3
 
 
 @jit
 def _squared_length(L: Array, scale: Array, d: Array) -> float:
-    """``d^T P^-1 d``, from the factor of the correlation matrix."""
+    """``d^T P^-1 d`` for d (n,), with ``P = diag(scale) L L^T diag(scale)``.
+
+    L: (n, n), lower; scale: (n,). See `relnav_graph.maths.dense.scaled_cholesky`.
+    """
     v = np.empty((d.shape[0], 1))
     for i in range(d.shape[0]):
         v[i, 0] = d[i] / scale[i]
@@ -52,7 +55,7 @@ def _squared_length(L: Array, scale: Array, d: Array) -> float:
 
 @jit
 def innovation_covariance(H: Array, P: Array, S: Array) -> None:
-    """``S = H P H^T + I``, symmetric."""
+    """``S = H P H^T + I``, symmetric, for H (rows, n), P (n, n), S (rows, rows)."""
     HP = np.empty((H.shape[0], H.shape[1]))
     matmul_into(H, P, HP)
     for i in range(H.shape[0]):
@@ -65,11 +68,14 @@ def innovation_covariance(H: Array, P: Array, S: Array) -> None:
 
 @jit
 def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
-    """Triangularise the rows ``y`` and ``innovation + H C y`` in a (n + rows, n + 1 + SPARE).
+    """Triangularise the least-squares problem ``min |y|^2 + |innovation + H C y|^2``.
 
-    With ``C C^T`` the covariance before, y is the step in its sigmas: R of the result is
-    the square root of the information after, and R y = a[:n, n]. By reflections, so that
-    measurements however precise lose no digits, as they would in H P H^T + I.
+        Q^T [I, 0; H C, -innovation] = [R, b; 0, rest],  R y = b
+
+    H (rows, n); C (n, n), with ``C C^T`` the covariance before; innovation (rows,). Fills
+    a (n + rows, n + 1 + SPARE): R upper in a[:n, :n], b in a[:n, n]. The step is C y, and
+    ``R^T R`` is the information of y after the update. Reflections keep all digits with
+    measurements however precise; forming H P H^T + I would lose them.
     """
     n, rows = C.shape[0], H.shape[0]
     G = np.empty((rows, n))
@@ -85,7 +91,7 @@ def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
 
 @jit
 def _solution(C: Array, a: Array) -> Array:
-    """The step ``C R^-1 a[:n, n]``."""
+    """The step ``C R^-1 b`` (n,), with R and b in `a` as `_least_squares` leaves them."""
     n = C.shape[0]
     y = np.empty(n)
     for i in range(n - 1, -1, -1):
@@ -98,7 +104,7 @@ def _solution(C: Array, a: Array) -> Array:
 
 @jit
 def _covariance(C: Array, a: Array, P: Array) -> None:
-    """``P = (C R^-1) (C R^-1)^T``."""
+    """``P+ = (C R^-1) (C R^-1)^T`` into P (n, n), for C (n, n) and R in `a[:n, :n]`."""
     n = C.shape[0]
     R, half = np.empty((n, n)), np.empty((n, n))
     for i in range(n):
@@ -115,7 +121,10 @@ def _covariance(C: Array, a: Array, P: Array) -> None:
 
 @jit
 def misfit(H: Array, P: Array, r: Array) -> float:
-    """``r^T (H P H^T + I)^-1 r``; NaN where P is not positive definite."""
+    """``r^T (H P H^T + I)^-1 r``, for H (rows, n), P (n, n), r (rows,).
+
+    The squared normalised innovation. NaN where P is not positive definite.
+    """
     n = P.shape[0]
     scale, C = np.empty(n), np.empty((n, n))
     if not scaled_cholesky(P, scale, C):
@@ -130,8 +139,11 @@ def misfit(H: Array, P: Array, r: Array) -> float:
 
 @jit
 def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
-    """``P = J P J^T``: a covariance moved to the tangent of the state that is d away (or,
-    inverse, from there). Exactly symmetric."""
+    """``P = J P J^T``: the covariance P (n, n) moved to the tangent of another state, in place.
+
+    J is the right Jacobian at d (n,), which moves P from the tangent at x to that at x (+) d;
+    with `inverse` J^-1, which moves it back. The result is exactly symmetric.
+    """
     times_transposed_jacobian(P, d, kinds, inverse)
     transpose_in_place(P)
     times_transposed_jacobian(P, d, kinds, inverse)
@@ -140,8 +152,11 @@ def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
 
 @jit
 def _possible(before: Indices, after: Indices) -> bool:
-    """Whether a new state is one: no kernel broke its contract, and no observation that was
-    possible has become impossible, which must not pass for one that fits."""
+    """Whether a new state may be accepted, by the statuses (observations,) before and after.
+
+    Not when a kernel broke its contract, nor when an observation has become impossible: its
+    rows are then zero and would count as a perfect fit.
+    """
     lost = 0
     for i in range(after.shape[0]):
         if after[i] < 0 or (after[i] > 0 and before[i] == 0):
@@ -164,9 +179,15 @@ def update(
 ) -> bool:
     """Measurement update of one epoch in place: x (size,), P (n, n), by square roots.
 
+        x+ = argmin |local(x, x+)|^2_P^-1 + |r(x+)|^2,  P+ = (C R^-1) (C R^-1)^T
+        with C C^T = P and R^T R = I + (H C)^T (H C)
+
+    first, last: the observations of the epoch; rows: number of their rows; weight
+    (last - first,): square roots of their weights.
+
     One iteration is the extended Kalman filter; more are Gauss-Newton steps towards the
-    maximum a posteriori (Bell and Cathey 1993), halved while the cost grows and given up
-    when that does not help. P is in the tangent of the updated state. False when a
+    maximum a posteriori (Bell and Cathey 1993). A step is halved while the cost grows, and
+    given up after ten halvings. P+ is in the tangent of the updated state. False when a
     covariance is not positive definite.
     """
     n = P.shape[0]
@@ -213,7 +234,8 @@ def update(
                 step[0, j] *= 0.5
         if not found:  # no way down from here: x is the best there is
             break
-        # The length of the step in sigmas of the posterior; the next would be its square.
+        # Squared length of the step in sigmas of the posterior. Convergence is quadratic: after
+        # a step this short the next one would be negligible.
         length2 = _squared_length(L, scale, step[0]) + sum_of_squares(dense.matvec(H, step[0]))
         cost = cost_try
         dense.put_vector(x, 0, at[0])
@@ -243,10 +265,12 @@ def robust_update(
     x: Array,
     P: Array,
 ) -> bool:
-    """:func:`update` with weights taken anew until they stay.
+    """:func:`update` repeated with the weights of the last result until they no longer change.
 
-    losses (last - first, 2); innovations (last - first,): mean squares of the normalised
-    ones, for the first weights. weight: 1 or 0 before, the square root of the weights after.
+    losses (last - first, 2): kind and tuning; innovations (last - first,): mean squares of the
+    normalised innovations, for the first weights. weight (last - first,): 1 to use an
+    observation or 0 to leave it out before, square roots of the weights after. x (size,) and
+    P (n, n) are updated in place.
     """
     count = last - first
     robust = False
@@ -261,7 +285,8 @@ def robust_update(
             kind, c = losses[i, 0], losses[i, 1]
             if kind == 0.0 or chosen[i] == 0.0:
                 continue
-            # Losses that redescend have many minima: first towards that of the convex one.
+            # The cost of a loss that redescends has many minima: the first rounds take a
+            # convex loss, so that the others start near its only minimum.
             if turn < CONVEX_ROUNDS:
                 kind, c = float(HUBER), 1.345
             root = root_weight(kind, c, s2[i])
@@ -280,6 +305,6 @@ def robust_update(
         for i in range(count):
             start, height = rows_of(tables.observations, tables.sensors, first, i)
             s2[i] = sum_of_squares(r[start : start + height]) / height
-            if status[i] != 0:  # impossible now: it does not fit
+            if status[i] != 0:  # impossible at the new x: its rows of zeros are no fit
                 s2[i] = np.inf
     return True

@@ -1,4 +1,4 @@
-"""Noise covariances: whitening them, and what to do with those that numbers cannot resolve."""
+"""Whitening matrices of noise covariances, and care for sigmas too small for float64."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ __all__ = ["inverse_cholesky", "measurement_noise", "raised", "with_constraints"
 
 _LOG = logging.getLogger(__name__)
 
-#: A sigma below this fraction of the number that it belongs to is lost in rounding.
+#: A sigma below this fraction of the measured value is lost in the value's rounding.
 RESOLUTION = 1e2 * float(np.finfo(np.float64).eps)
-#: Sigma of process noise, in SI, that stands for none: what no state here resolves, and yet
-#: not so small that its inverse spoils the rounding of the rows beside it.
+#: Sigma of process noise, SI, that stands for none: smaller than any state here resolves, yet
+#: not so small that rows whitened with its inverse drown the others in rounding errors.
 SMALLEST = 1e-12
 
 
 def raised(where: str, noise: Array, z: Array) -> Array:
-    """Noise R (k, rows, rows) of values z (k, nz), with sigmas below what the values can
-    resolve raised to that; which is said."""
+    """Noise R with sigmas below the resolution of the values raised to it, and a warning.
+
+    noise: (k, rows, rows); z: values (k, nz). Returns (k, rows, rows).
+    """
     floor = (RESOLUTION * np.abs(z).max(axis=1, initial=0.0)) ** 2
     variances = np.einsum("kii->ki", noise)
     low = (variances > 0) & (variances < floor[:, None])
@@ -43,13 +45,15 @@ def raised(where: str, noise: Array, z: Array) -> Array:
 
 @cache
 def _warn(text: str) -> None:
-    """Say it once, not for every epoch."""
+    """Log a warning once, not for every epoch."""
     _LOG.warning(text)
 
 
 def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
-    """R (k, rows, rows) of a measurement, of the right shape. Raises ModelError, or
-    InputError when it is not symmetric."""
+    """Noise covariances R (k, rows, rows) of the k observations of a measurement.
+
+    Raises ModelError when the sensor gives another shape, InputError when R is not symmetric.
+    """
     noise = np.asarray(sensor.noise(m))
     expected = (len(m.z), sensor.rows, sensor.rows)
     if noise.shape != expected:
@@ -63,16 +67,21 @@ def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
 
 
 def with_constraints(Q: Array) -> Array:
-    """Process noise Q (M, n, n) in which a state that has none gets `SMALLEST`: as good as a
-    constraint; which is said."""
+    """Process noise in which a state without any gets the sigma `SMALLEST`, and a warning.
+
+    Q: (M, n, n). Returns (M, n, n). So small a sigma acts as a constraint.
+    """
     _warn(f"process noise: a state without any is held by a sigma of {SMALLEST:g}")
     diagonal = np.einsum("kii->ki", Q)
     return Q + np.where(diagonal == 0.0, SMALLEST**2, 0.0)[:, :, None] * np.eye(Q.shape[1])
 
 
 def inverse_cholesky(where: str, covariances: Array) -> Array:
-    """Whitening matrices (..., n, n) of covariances. Raises InputError unless positive
-    definite."""
+    """Whitening matrices ``W = L^-1``, ``L L^T`` the covariance: ``W^T W`` is its inverse.
+
+    covariances: (..., n, n). Returns (..., n, n), lower triangular. Raises InputError unless
+    every covariance is positive definite.
+    """
     scale = np.sqrt(np.einsum("...ii->...i", covariances))
     with np.errstate(invalid="ignore", divide="ignore"):
         scaled = covariances / (scale[..., :, None] * scale[..., None, :])

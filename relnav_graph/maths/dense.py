@@ -106,10 +106,7 @@ def symmetrize(P: Array) -> None:
 
 @jit(vectorize="loops")
 def cholesky(a: Array) -> bool:
-    """Replace a symmetric matrix a (n, n) by its lower factor L, ``L L^T = a``.
-
-    False, and a spoilt, unless it is positive definite.
-    """
+    """Replace a symmetric a (n, n) by L, ``L L^T = a``; False unless positive definite."""
     n = a.shape[0]
     for j in range(n):
         for l in range(j):
@@ -129,9 +126,8 @@ def cholesky(a: Array) -> bool:
 
 @jit
 def scaled_cholesky(P: Array, scale: Array, L: Array) -> bool:
-    """Fill sigmas and the lower factor of the correlations, ``diag(scale) L L^T diag(scale) = P``.
-
-    P, L: (n, n); scale: (n,). False unless P is positive definite.
+    """``P = diag(scale) L L^T diag(scale)``, all (n, n) but scale (n,): sigmas, and the lower
+    factor of the correlations. False unless P is positive definite.
     """
     for i in range(P.shape[0]):
         scale[i] = np.sqrt(P[i, i])
@@ -242,10 +238,7 @@ def householder(a: Array, columns: int, below: int, rows: int, width: int) -> No
 
 
 def stacked(arrays: Iterable[Array], *shape: int) -> Array:
-    """Arrays of one shape, made one after the other, as one array (N, ...).
-
-    A million of them never exist side by side.
-    """
+    """Arrays of one shape, made one after the other and never side by side, as (N, ...)."""
     return np.fromiter(arrays, dtype=np.dtype((np.float64, shape)))
 
 

@@ -1,9 +1,9 @@
 """Robust losses: how much an observation that does not fit still counts.
 
 An observation of m rows with whitened residual r is judged by s^2 = |r|^2 / m, its mean
-square; its rows are multiplied by the square root of the weight w(s). Minimising with
-weights taken anew until they stay is minimising the loss (iteratively reweighted least
-squares: Holland and Welsch 1977).
+square; its rows are multiplied by the square root of the weight w(s). Least squares repeated
+with the weights of the last solution, until they no longer change, minimises the loss
+(iteratively reweighted least squares: Holland and Welsch 1977).
 
     huber   1 up to c, then c / s                    (Huber 1964)
     cauchy  1 / (1 + (s / c)^2)
@@ -37,7 +37,10 @@ TUNING: Mapping[str, float] = {"huber": 1.345, "cauchy": 2.3849, "dcs": 2.0, "tu
 
 @jit
 def root_weight(kind: float, c: float, s2: float) -> float:
-    """Square root of the weight of an observation of mean square s2; 1 without a loss."""
+    """Square root of the weight w(s) of an observation of mean square ``s2 = s^2``.
+
+    kind: number of the loss, as `Loss.numbers` gives; c: tuning, in sigmas. 1 without a loss.
+    """
     q, root = s2 / (c * c), 1.0
     if kind == HUBER and q > 1.0:
         root = 1.0 / math.sqrt(math.sqrt(q))
@@ -52,7 +55,10 @@ def root_weight(kind: float, c: float, s2: float) -> float:
 
 @jit
 def root_weights(losses: Array, s2: Array) -> Array:
-    """:func:`root_weight` of each observation: losses (m, 2), s2 (m,)."""
+    """:func:`root_weight` of each observation.
+
+    losses: (m, 2), kind and tuning c; s2: (m,), mean squares. Returns (m,).
+    """
     out = np.empty(s2.shape[0])
     for i in range(s2.shape[0]):
         out[i] = root_weight(losses[i, 0], losses[i, 1], s2[i])
@@ -61,7 +67,7 @@ def root_weights(losses: Array, s2: Array) -> Array:
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss and its tuning constant c, in sigmas; the usual one when it is None.
+    """A loss and its tuning constant c, in sigmas; None stands for that of `TUNING`.
 
     Raises InputError on another kind, or a constant that is not positive.
     """
@@ -77,9 +83,9 @@ class Loss:
 
     @property
     def redescends(self) -> bool:
-        """Whether what fits badly loses its pull: many minima, then."""
+        """Whether the pull of an outlier falls as it moves away: the cost has many minima."""
         return self.kind != "huber"
 
     def numbers(self) -> tuple[float, float]:
-        """What `root_weight` takes."""
+        """Kind and tuning c, as `root_weight` takes them."""
         return float(_NUMBERS[self.kind]), self.tuning or TUNING[self.kind]

@@ -1,9 +1,8 @@
 """Moving on the state manifold: rotations and vectors side by side in one array.
 
 A state is stored as x (size,), nine numbers row by row for a rotation; its tangent vector d
-(dim,) has three for it, the right perturbation. `kinds` says what stands where: one row
-(is_SO3, stored offset, tangent offset, dim) per block.
-
+(dim,) has three for a rotation, the right perturbation in rad. `kinds` (blocks, 4) says what
+stands where: one row (is_SO3, stored offset, tangent offset, dim) per block.
 """
 
 from __future__ import annotations
@@ -36,7 +35,10 @@ def retract(x: Array, d: Array, kinds: Indices) -> Array:
 
 @jit(from_python=True)
 def local(a: Array, b: Array, kinds: Indices, dim: int) -> Array:
-    """The tangent vector d (dim,) with ``a (+) d = b``, for states a and b (size,)."""
+    """``d = b (-) a``: the tangent vector d (dim,) with ``a (+) d = b``.
+
+    a, b: states (size,); kinds: (blocks, 4).
+    """
     out = np.empty(dim)
     for k in range(kinds.shape[0]):
         so3_block, i, j, n = kinds[k, 0], kinds[k, 1], kinds[k, 2], kinds[k, 3]
@@ -71,7 +73,10 @@ def times_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool) -> None:
 
 @jit
 def times_transposed_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool) -> None:
-    """``a = a J^T``, for a (m, dim): the right Jacobian at -d is the transpose of that at d."""
+    """``a = a J^T``, for a (m, dim) and J as in :func:`times_jacobian`.
+
+    The right Jacobian at -d is the transpose of that at d.
+    """
     back = np.empty(d.shape[0])
     for i in range(d.shape[0]):
         back[i] = -d[i]
@@ -80,7 +85,7 @@ def times_transposed_jacobian(a: Array, d: Array, kinds: Indices, inverse: bool)
 
 @jit
 def block_jacobian(d: Array, kinds: Indices, inverse: bool) -> Array:
-    """The Jacobian of :func:`times_jacobian`, (n, n)."""
+    """The Jacobian J (n, n) of :func:`times_jacobian` at d (n,)."""
     out = dense.identity(d.shape[0])
     times_jacobian(out, d, kinds, inverse)
     return out

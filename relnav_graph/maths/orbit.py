@@ -50,21 +50,27 @@ class KeplerOrbit:
             raise InputError(f"orbit: true_anomaly {self.true_anomaly} rad is beyond the asymptote")
 
     def array(self) -> Array:
-        """(4,): semilatus rectum (m), eccentricity, true anomaly at t = 0 (rad), mu."""
+        """(4,): semilatus rectum (m), eccentricity, true anomaly at t = 0 (rad), mu (m^3/s^2)."""
         p = self.semi_major_axis * (1 - self.eccentricity**2)
         return np.array([p, self.eccentricity, self.true_anomaly, self.mu])
 
 
 def orbit_array(orbit: KeplerOrbit | None) -> Array:
-    """The orbit as kernels take it, (4,): see the head of this module; zeros for None."""
+    """The orbit as kernels take it; zeros for None: a frame o that does not rotate.
+
+    Returns (4,): semilatus rectum (m), eccentricity, true anomaly at t = 0 (rad), mu (m^3/s^2).
+    """
     return np.zeros(4) if orbit is None else orbit.array()
 
 
 @jit
 def stumpff(z: float) -> Array:
-    """c_0 to c_5 of Stumpff, c_n(z) = sum of (-z)^k / (n + 2 k)!, (6,)."""
+    """Stumpff functions c_0 to c_5, ``c_n(z) = sum over k of (-z)^k / (n + 2 k)!``.
+
+    z: the square of the change of eccentric anomaly, rad^2; below 0 on a hyperbola. Returns (6,).
+    """
     c = np.empty(6)
-    if abs(z) < 4.0:  # beyond, the closed forms lose at most two digits to cancellation
+    if abs(z) < 4.0:  # for larger |z| the closed forms lose at most two digits to cancellation
         for n in (4, 5):
             term = 1 / 24.0 if n == 4 else 1 / 120.0
             c[n] = term
@@ -88,7 +94,11 @@ def stumpff(z: float) -> Array:
 
 @jit
 def _universal_anomaly(r0: float, sigma0: float, alpha: float, s: float) -> float:
-    """chi with ``r0 U1 + sigma0 U2 + U3 = s``; s = sqrt(mu) dt. Laguerre, n = 5."""
+    """The universal anomaly chi, m^(1/2): ``r0 U1 + sigma0 U2 + U3 = s``. Laguerre, n = 5.
+
+    ``U_n = chi^n c_n(alpha chi^2)``. r0: radius, m; sigma0: ``r0 . v0 / sqrt(mu)``, m^(1/2);
+    alpha: 1 / semi-major axis, 1/m; s: ``sqrt(mu) dt``, m^(3/2).
+    """
     chi = s * alpha if alpha > 0 else s / r0
     for _ in range(60):
         c = stumpff(alpha * chi * chi)
@@ -99,15 +109,18 @@ def _universal_anomaly(r0: float, sigma0: float, alpha: float, s: float) -> floa
         root = np.sqrt(abs(16 * slope * slope - 20 * f * curve))
         step = 5 * f / (slope + (root if slope > 0 else -root))
         chi -= step
-        if abs(step) <= 1e-6 * abs(chi):  # converges cubically: that was the last one needed
+        if abs(step) <= 1e-6 * abs(chi):  # cubic convergence: chi is now exact to rounding
             break
     return chi
 
 
 @jit
 def two_body(r0: Array, v0: Array, mu: float, dt: float) -> tuple[Array, Array, Array]:
-    """Position and velocity (3,) after dt seconds in an inertial frame, and the (6, 6)
-    transition matrix d(r, v) / d(r0, v0). Battin 1999, eqs. 4.84 and 9.84-9.87."""
+    """Position and velocity after dt in an inertial frame, and their transition matrix.
+
+    r0: (3,), m; v0: (3,), m/s; mu: m^3/s^2; dt: s. Returns r (3,), m; v (3,), m/s; and
+    ``d(r, v) / d(r0, v0)`` (6, 6), SI. Battin 1999, eqs. 4.84 and 9.84-9.87.
+    """
     n0 = dense.norm(r0)
     root = np.sqrt(mu)
     sigma0 = (r0[0] * v0[0] + r0[1] * v0[1] + r0[2] * v0[2]) / root
@@ -153,8 +166,11 @@ def two_body(r0: Array, v0: Array, mu: float, dt: float) -> tuple[Array, Array, 
 
 @jit
 def chief_motion(orbit: Array, t: float) -> Array:
-    """Radius r (m), r' (m/s), true anomaly (rad), its rate (rad/s) and acceleration
-    (rad/s^2) of the target's orbit at time t, (5,)."""
+    """Motion of the target along its orbit at time t.
+
+    orbit: (4,), see the head of this module; t: s. Returns (5,): radius r (m), r' (m/s), true
+    anomaly (rad), its rate (rad/s) and acceleration (rad/s^2); zeros where there is no orbit.
+    """
     p, e, theta0, mu = orbit[0], orbit[1], orbit[2], orbit[3]
     out = np.zeros(5)
     if mu == 0.0:
@@ -182,18 +198,23 @@ def chief_motion(orbit: Array, t: float) -> Array:
 
 @jit
 def frame_rotation(orbit: Array, t0: float, t1: float) -> Array:
-    """``R_o1o0``: components in o at t1 of a vector given in o at t0, (3, 3)."""
+    """``R_o1o0``: takes components in o at t0 to components in o at t1.
+
+    orbit: (4,), see the head of this module; t0, t1: s. Returns (3, 3).
+    """
     turn = chief_motion(orbit, t1)[2] - chief_motion(orbit, t0)[2]
     return so3.exp(np.array([0.0, 0.0, -turn]))
 
 
 @jit
 def relative_transition(orbit: Array, t0: float, t1: float) -> Array:
-    """Transition matrix (6, 6) of (r_tc_o, r_tc_o') from t0 to t1: the equations of
-    relative motion on an eccentric orbit, linear in the separation, in closed form.
+    """Transition matrix of the separation (r_tc_o, r_tc_o') from t0 to t1, in closed form.
 
-    The two-body transition matrix seen from the rotating frame; at eccentricity 0 it is
-    that of Clohessy and Wiltshire. r_tc_o' is the derivative in the rotating frame.
+    orbit: (4,), see the head of this module; t0, t1: s. Returns (6, 6), for m and m/s.
+
+    It solves the equations of relative motion on an orbit of any eccentricity, linear in the
+    separation: the two-body transition matrix seen from the rotating frame o. At eccentricity
+    0 it is that of Clohessy and Wiltshire. r_tc_o' is the derivative in the rotating frame.
     """
     motion0, motion1 = chief_motion(orbit, t0), chief_motion(orbit, t1)
     r0 = np.array([motion0[0], 0.0, 0.0])

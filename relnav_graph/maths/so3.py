@@ -17,14 +17,14 @@ from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.maths.dense import matmul, norm, transposed_matmul
 
-# Below this angle the series of the coefficients, to the last digit kept, replace the
-# closed forms: (t - sin t) / t^3 loses eps / t^2 to cancellation, far above it.
+# Below this angle (rad) the coefficients come from their series, which are exact to rounding
+# there. The closed form (t - sin t) / t^3 has a relative error of about eps / t^2.
 _SERIES = 0.3
 
 
 @jit
 def cross(a: Array, b: Array) -> Array:
-    """Vector product of two (3,) vectors."""
+    """``a x b``: the vector product. a, b: (3,), in one frame. Returns (3,)."""
     out = np.empty(3)
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
@@ -34,7 +34,10 @@ def cross(a: Array, b: Array) -> Array:
 
 @jit
 def put_cross(out: Array, row: int, column: int, a: Array, b: Array, factor: float) -> None:
-    """Write ``factor a x b``, of vectors (3,), into one row of a matrix, from `column` on."""
+    """Write ``factor a x b`` into one row of a matrix, from `column` on.
+
+    out: (m, n); a, b: (3,), in one frame.
+    """
     out[row, column] = factor * (a[1] * b[2] - a[2] * b[1])
     out[row, column + 1] = factor * (a[2] * b[0] - a[0] * b[2])
     out[row, column + 2] = factor * (a[0] * b[1] - a[1] * b[0])
@@ -42,7 +45,10 @@ def put_cross(out: Array, row: int, column: int, a: Array, b: Array, factor: flo
 
 @jit
 def skew(v: Array) -> Array:
-    """``[v x]``, (3, 3): ``skew(a) b = a x b``."""
+    """``[v x]``, the matrix of the vector product: ``skew(a) b = a x b``.
+
+    v: (3,). Returns (3, 3), in the unit of v.
+    """
     out = np.zeros((3, 3))
     out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
     out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
@@ -51,7 +57,10 @@ def skew(v: Array) -> Array:
 
 @jit
 def _quadratic(v: Array, a: float, b: float) -> Array:
-    """``I + a [v x] + b [v x]^2``, with ``[v x]^2 = v v^T - |v|^2 I`` written out."""
+    """``I + a [v x] + b [v x]^2``, with ``[v x]^2 = v v^T - |v|^2 I`` written out.
+
+    v: (3,). Returns (3, 3).
+    """
     s = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     out = np.empty((3, 3))
     for i in range(3):
@@ -69,7 +78,7 @@ def _quadratic(v: Array, a: float, b: float) -> Array:
 
 @jit
 def _coefficients(t: float) -> tuple[float, float, float]:
-    """``sin t / t``, ``(1 - cos t) / t^2``, ``(t - sin t) / t^3``."""
+    """``sin t / t``, ``(1 - cos t) / t^2``, ``(t - sin t) / t^3`` of an angle t >= 0 in rad."""
     s = t * t
     if t < _SERIES:
         a = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110))))
@@ -89,7 +98,10 @@ def exp(phi: Array) -> Array:
 
 @jit(from_python=True)
 def quaternion(matrix: Array) -> Array:
-    """Hamilton quaternion ``q_wxyz`` (4,), w >= 0, of a rotation matrix (Shepperd 1978)."""
+    """Hamilton quaternion ``q_wxyz``, w >= 0, of a rotation matrix (Shepperd 1978).
+
+    matrix: (3, 3). Returns (4,), scalar first, of length 1.
+    """
     m = matrix
     q = np.empty(4)
     trace = m[0, 0] + m[1, 1] + m[2, 2]
@@ -116,7 +128,10 @@ def quaternion(matrix: Array) -> Array:
 
 @jit(from_python=True)
 def from_quaternion(q_wxyz: Array) -> Array:
-    """Rotation matrix (3, 3) of a Hamilton quaternion (4,), scalar first; normalises it."""
+    """Rotation matrix of a Hamilton quaternion, which need not have length 1.
+
+    q_wxyz: (4,), scalar first. Returns (3, 3).
+    """
     n = norm(q_wxyz)
     v = np.empty(3)
     for i in range(3):
@@ -126,8 +141,11 @@ def from_quaternion(q_wxyz: Array) -> Array:
 
 @jit
 def log(matrix: Array) -> Array:
-    """Rotation vector (3,) in rad, angle at most pi. Through the quaternion, which keeps
-    all digits near 0 and near pi, where the trace formula has lost half of them."""
+    """Rotation vector of a rotation matrix, of length at most pi rad.
+
+    matrix: (3, 3). Returns (3,), rad. The way over the quaternion keeps all digits near 0 and
+    near pi, where the formula with the trace loses half of them.
+    """
     q = quaternion(matrix)
     n = norm(q[1:])
     stretch = 2.0 / q[0] if n < 1e-12 else 2 * np.arctan2(n, q[0]) / n
@@ -158,10 +176,12 @@ def right_jacobian_inverse(phi: Array) -> Array:
 
 @jit
 def project(matrix: Array) -> Array:
-    """The rotation (3, 3) nearest to `matrix` (3, 3) to first order: without rounding errors.
+    """The rotation nearest to `matrix`, to first order in the distance.
 
-    One Newton step of the polar decomposition, ``M (3 I - M^T M) / 2``; for products of many
-    rotations.
+    matrix: (3, 3), a rotation but for rounding errors. Returns (3, 3).
+
+    One Newton step of the polar decomposition, ``M (3 I - M^T M) / 2``, which keeps rounding
+    errors from growing in products of many rotations.
     """
     correction = transposed_matmul(matrix, matrix)
     for i in range(3):
