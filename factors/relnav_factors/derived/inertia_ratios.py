@@ -25,7 +25,10 @@ class InertiaRatios:
     reads: ClassVar[tuple[Block, ...]] = (INERTIA,)
 
     def value(self, *x: Array) -> tuple[Array, Array]:
-        """l (3,) and its Jacobian (3, 2)."""
+        """l (3,) and its Jacobian (3, 2), without unit.
+
+        x: k (2,), see `relnav_graph.core.catalogue.INERTIA`.
+        """
         return principal_ratios(np.ascontiguousarray(x[0]))
 
 
@@ -41,7 +44,10 @@ class InertiaMatrixRatios:
     reads: ClassVar[tuple[Block, ...]] = (INERTIA_MATRIX,)
 
     def value(self, *x: Array) -> tuple[Array, Array]:
-        """Ratios (5,) and their Jacobian (5, 5)."""
+        """Ratios (5,) and their Jacobian (5, 5), without unit.
+
+        x: k (5,), see `relnav_graph.core.catalogue.INERTIA_MATRIX`.
+        """
         J, dJ = inertia_matrix(np.ascontiguousarray(x[0]))
         ratios = J[_ENTRIES] / J[0, 0]
         slopes = (dJ[:, _ENTRIES[0], _ENTRIES[1]] - np.outer(dJ[:, 0, 0], ratios)) / J[0, 0]

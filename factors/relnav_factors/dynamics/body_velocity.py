@@ -26,9 +26,16 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r, R). Each row of u: dt, velocity in c, gyro; both hold over dt.
+    """``r' = R v_c``: position from a velocity in chaser axes, exact for rows of constant v and w.
 
-    The path within dt is curved: its integral is the left Jacobian of the turn.
+    p (3,): density of the velocity's noise, per axis of c, m/sqrt(s). u (rows, 7): dt (s), v_c
+    (m/s), w_ci_c of the gyro (rad/s), which hold over dt. x (12,): r_tc_o (m), R_oc row by row; or
+    r_tc_t, R_tc. x_next (3,): r, m. F (3, 6) to (r, R). Q (3, 3), m^2.
+
+        r_next = r + R s_c,  s_c = sum of C J_l(w dt) v_c dt
+
+    C: the turn since the start of the interval; J_l: the left Jacobian of SO(3), because the path
+    within a row is curved.
     """
     R, turned = dense.matrix_at(x, 3), dense.identity(3)
     path_c, noise = np.zeros(3), np.zeros((3, 3))

@@ -1,4 +1,4 @@
-"""The bias of an Earth sensor, which forgets."""
+"""The bias of an Earth sensor, a first-order Gauss-Markov process."""
 
 from __future__ import annotations
 

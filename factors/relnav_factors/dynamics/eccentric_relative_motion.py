@@ -21,11 +21,16 @@ from relnav_graph.units import Quantity
 
 @jit
 def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Array]:
-    """r'' (3,) of the separation x = (r, r') in the rotating frame, and its Jacobian to
-    x, (3, 6): the exact difference of two two-body motions.
+    """Acceleration of the chaser relative to the target in rotating axes o, and its Jacobian.
 
-    The difference of gravities in Battin's form (1999, eq. 8.61), which loses no digits
-    however small the separation. motion: see `relnav_graph.maths.orbit.chief_motion`.
+    motion: (5,) of the target, see `relnav_graph.maths.orbit.chief_motion`; mu: m^3/s^2; x: (6,):
+    r_tc_o (m), r_tc_o' in o (m/s), here r and r'. Returns r'' (3,), m/s^2, and its Jacobian (3, 6)
+    to x, SI.
+
+        r'' = g(r_t + r) - g(r_t) - 2 w x r' - w' x r - w x (w x r)
+
+    w = w_oi_o along z. The difference of the two gravities is exact, in Battin's form
+    (1999, eq. 8.61), which loses no digits however small the separation.
     """
     radius, rate, rate_dot = motion[0], motion[3], motion[4]
     rate2 = rate * rate
@@ -55,7 +60,12 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
 
 @jit
 def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
-    """x (6,) after one Runge-Kutta step of h seconds, and the step's own Jacobian."""
+    """One Runge-Kutta step of `relative_acceleration`, of fourth order.
+
+    orbit: starts with the (4,) of `relnav_graph.maths.orbit.orbit_array`; t: start, s; h: length,
+    s; x: (6,): r_tc_o (m), r_tc_o' (m/s). Returns x after the step, (6,), and its Jacobian (6, 6)
+    to x, which is exact for the step as computed.
+    """
     one = dense.identity(6)
     at_x, at_d, end_x, end_d = x, one, x, one
     k, dk = np.empty(6), np.empty((6, 6))
@@ -81,7 +91,11 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
 
 @jit
 def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r_tc_o, r_tc_o'). Steps of at most p[5] seconds."""
+    """Exact difference of two two-body motions, see `relative_acceleration`, plus white noise.
+
+    p (6,): orbit (4,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s. x,
+    x_next (6,): r_tc_o (m), r_tc_o' in o (m/s). F, Q (6, 6), SI.
+    """
     length = duration(u)
     steps = step_count(length, p[5])
     h = length / steps
@@ -97,7 +111,12 @@ def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
 
 @jit
 def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """The same under linear gravity; the steps are those of the noise."""
+    """The motion under linear gravity: ``x_next = Phi(t, t + h) x``, Phi in closed form.
+
+    p, u, x, x_next, F, Q: as of `exact_kernel`, (6,) and (6, 6), m and m/s. Steps serve the noise
+    only: each adds that of constant velocity over its length. Phi: see
+    `relnav_graph.maths.orbit.relative_transition`.
+    """
     length = duration(u)
     steps = step_count(length, p[5])
     h = length / steps

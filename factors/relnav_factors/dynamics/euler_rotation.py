@@ -41,7 +41,10 @@ def _rotate(
     F: Array,
     Q: Array,
 ) -> None:
-    """x = (R_ot, w_ti_t, k). Steps of at most p[6] seconds; p[7] != 0: Euler's."""
+    """``R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot`` and w', for the kernels below.
+
+    A: (3, 6), dA: (dim k, 3, 6), see `principal_coefficients`; the rest: see `principal_kernel`.
+    """
     length = duration(u)
     steps = step_count(length, p[6])
     h = length / steps
@@ -82,7 +85,12 @@ def _rotate(
 def principal_kernel(
     p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array
 ) -> int:
-    """Of a body about its principal axes, k (2,)."""
+    """``w_x' = l_x w_y w_z`` and cyclic, ``l = tanh(k_x, k_y, -k_x - k_y)``: t are principal axes.
+
+    p (8,): orbit (4,), torque density (rad/s^1.5), density of k (1/sqrt(s)), longest step (s), 1
+    for Euler's integrator, else 0. u (rows, 1): dt, s. x, x_next (14,): R_ot row by row, w_ti_t
+    (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1.
+    """
     A, dA = principal_coefficients(x[12:])
     _rotate(p, t, u, x, A, dA, x_next, F, Q)
     return 0
@@ -90,7 +98,10 @@ def principal_kernel(
 
 @jit
 def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """Of a body about any axes, k (5,)."""
+    """``J w' = -w x J w`` about any axes t: as `principal_kernel`, with J of k (5,).
+
+    x, x_next (17,): R_ot, w_ti_t (rad/s), k (5,). F, Q (11, 11).
+    """
     A, dA = full_coefficients(x[12:])
     _rotate(p, t, u, x, A, dA, x_next, F, Q)
     return 0
@@ -98,7 +109,11 @@ def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array,
 
 @jit
 def known_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """Of a body of known inertia, p[8:26] its A; there is no k."""
+    """``J w' = -w x J w`` of a known J: as `principal_kernel`, without k.
+
+    p (26,): ends with A (3, 6) row by row, of `coefficients_of`. x, x_next (12,): R_ot, w_ti_t
+    (rad/s). F, Q (6, 6).
+    """
     _rotate(p, t, u, x, p[8:26].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
     return 0
 

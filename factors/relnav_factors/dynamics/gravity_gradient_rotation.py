@@ -23,11 +23,11 @@ from relnav_graph.units import Quantity
 
 @jit
 def gradient_torque(p: Array, t: float, R_it: Array) -> tuple[Array, Array]:
-    """Torque (3,) at time t, s, in t, N m, and its Jacobian (3, 3) to a turn of t.
+    """``3 mu / r^3 u x J u``, u the unit vector from the Earth's centre (Hughes 1986, section 8.1).
 
-    3 mu / r^3 u x J u, u the unit vector from the Earth's centre (Hughes 1986, section 8.1).
-    p: orbit (4,), R_ip (9): its perifocal axes, J (9), J^-1 (9), then those of
-    `EulerRotation`.
+    p (57,): orbit (4,), R_ip (9): its perifocal axes, J (9), kg m^2, J^-1 (9), then the (26,) of
+    `EulerRotation`; t: s; R_it: (3, 3). Returns the torque (3,) in t, N m, and its Jacobian (3, 3),
+    N m/rad, to a right perturbation ``R_it Exp(d)``.
     """
     motion, J = chief_motion(p, t), dense.matrix_at(p, 13)
     R_ip, u_i = dense.matrix_at(p, 4), np.empty(3)
@@ -48,8 +48,11 @@ def gradient_torque(p: Array, t: float, R_it: Array) -> tuple[Array, Array]:
 
 @jit
 def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> Array:
-    """The rate (3,) after the torque of time t has acted for h seconds; total (6, n):
-    sensitivities, brought up to date in place."""
+    """The rate (3,), rad/s, after the torque of time t has acted for h seconds.
+
+    w: (3,), rad/s, before; total: (6, n), sensitivities of attitude and rate, brought up to date in
+    place.
+    """
     torque, slope = gradient_torque(p, t, R_it)
     inverse = dense.matrix_at(p, 22)
     slope = dense.matmul(inverse, slope)
@@ -62,9 +65,14 @@ def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> 
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (R_it, w_ti_t). In each step of at most p[37] seconds the torque acts at both ends,
-    for half the step, with a free rotation between (Strang 1968): of second order, exact but
-    for how the torque changes in a step."""
+    """``J w' = -w x J w + 3 mu / r^3 u x J u`` by splitting (Strang 1968), of second order.
+
+    p (57,): as of `gradient_torque`; the longest step is p[37], s. u (rows, 1): dt, s. x, x_next
+    (12,): R_it row by row, w_ti_t (rad/s). F, Q (6, 6), in rad and rad/s.
+
+    In each step the torque acts at both ends, for half the step each time, with a free rotation
+    between: exact but for how the torque changes within a step.
+    """
     length = duration(u)
     steps = step_count(length, p[37])
     h = length / steps

@@ -23,10 +23,15 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (R_oc, b). Each row of u (dt, gyro mean) turns the attitude by (gyro - b) dt.
+    """``R_next = R_o1o0 R_oc Exp((gyro - b) dt) ...``, a factor per row; ``b' = -b / T + white``.
 
-    Attitude and bias noise are correlated: the bias walks while the attitude turns. p[10]: T, s,
-    after which the bias forgets.
+    p (11,): orbit (4,), density of the angle's random walk (3,), rad/sqrt(s), of the bias's (3,),
+    rad/s^1.5, T (s; inf: the bias is a random walk). u (rows, 4): dt (s), mean of the gyro
+    (rad/s, in c). x, x_next (12,): R_oc (or R_tc) row by row, b (rad/s, in c). F, Q (6, 6), in rad
+    and rad/s.
+
+    Noises of attitude and bias are correlated: the bias walks while the attitude turns. R_o1o0 is
+    the turn of the orbital frame, see `relnav_graph.maths.orbit.frame_rotation`.
     """
     R_oc, b = dense.matrix_at(x, 0), dense.vector_at(x, 9)
     total, noise, step = dense.identity(6), np.zeros((6, 6)), dense.identity(6)
@@ -69,7 +74,7 @@ class GyroBias(DynamicsModel):
     that is constant over each gyro sample.
 
     angle_random_walk_density: rad/sqrt(s), bias_random_walk_density: rad/s^1.5, one for
-    all axes of c or one each; bias_time_constant: s, of a bias that forgets, b' = -b / T +
+    all axes of c or one each; bias_time_constant: T, s, of a bias with b' = -b / T +
     white; orbit: the target's, None where o does not rotate.
     attitude: which block turns with the chaser: R_oc, or R_tc of a target at rest in o.
     samples: "together" for a fast gyro: those of an interval as one or a few rows.

@@ -19,7 +19,12 @@ from relnav_graph.maths import dense
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r_c_i, v_c_i, R_ic, b_g, b_f). p: as `drive` has it."""
+    """``r_c'' = R_ic (f - b_f) + g(r_c)``, see `drive`.
+
+    p (7,): field (5,), velocity random walk density (m/s^1.5), longest step (s). u (rows, 7): dt
+    (s), w_ci_c (rad/s), f in c (m/s^2). x (21,): r_c_i (m), v_c_i (m/s), R_ic row by row, b_g
+    (rad/s), b_f (m/s^2). x_next (6,): r_c_i, v_c_i. F (6, 15), Q (6, 6), SI.
+    """
     y = np.empty(6)
     for i in range(6):
         y[i] = x[i]

@@ -24,7 +24,12 @@ from relnav_graph.maths import dense
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r_tc_i, v_tc_i, R_ic, b_g, b_f, r_c_i, v_c_i). p: as `drive` has it."""
+    """``r_tc'' = R_ic (f - b_f) + g(r_c) - g(r_c - r_tc)``, see `drive`.
+
+    p (7,): field (5,), velocity random walk density (m/s^1.5), longest step (s). u (rows, 7): dt
+    (s), w_ci_c (rad/s), f in c (m/s^2). x (27,): r_tc_i (m), v_tc_i (m/s), R_ic row by row, b_g
+    (rad/s), b_f (m/s^2), r_c_i, v_c_i. x_next (6,): r_tc_i, v_tc_i. F (6, 21), Q (6, 6), SI.
+    """
     y = np.empty(12)
     for i in range(6):
         y[i], y[6 + i] = x[i], x[21 + i]

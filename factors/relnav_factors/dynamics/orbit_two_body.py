@@ -20,7 +20,11 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r_c_i, v_c_i). p: field, position and acceleration density, longest step."""
+    """``r_c'' = g(r_c) + white``, ``r_c' = v_c + white``, by Runge-Kutta steps.
+
+    p (8,): field (5,), position density (m/sqrt(s)), acceleration density (m/s^1.5), longest step
+    (s). u (rows, 1): dt, s. x, x_next (6,): r_c_i (m), v_c_i (m/s). F, Q (6, 6), SI.
+    """
     S, nothing = dense.identity(6), np.zeros((6, 6))
     walk, white, longest = p[FIELD], p[FIELD + 1], p[FIELD + 2]
     y, total, noise = coast(p, x, S, nothing, duration(u), longest, walk, white)

@@ -25,7 +25,13 @@ def previous_blocks(pose: Pose) -> tuple[Block, ...]:
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (pose of before, pose at the start of the interval). p: period or 0, two sigmas."""
+    """Replaces the copy by the pose where t is a multiple of the period; else keeps the copy.
+
+    p (3,): period (s; 0: copy at every epoch), sigma of attitudes (rad), of the position (m). x
+    (42,): R_oc-, R_ot-, r_tc_o- (m) of the copy, then R_oc, R_ot, r_tc_o at time t, the start of
+    the interval; or (24,): R_tc-, r_tc_t-, R_tc, r_tc_t. x_next (21,) or (12,). F (9, 18) or
+    (6, 12), Q (9, 9) or (6, 6), in rad and m.
+    """
     n, size = Q.shape[0], x_next.shape[0]
     dense.put_block(F, 0, 0, np.zeros(F.shape), 1.0)
     dense.put_block(Q, 0, 0, np.zeros((n, n)), 1.0)

@@ -14,14 +14,18 @@ from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.units import Quantity
 
-#: Offset of the clock times the speed of light, and its rate.
+#: Offset of the clock times the speed of light, m, and its rate, m/s.
 CLOCK_BIAS = Block("clock_bias", "c_b", "vector", 1, "m", "-", "m")
 CLOCK_DRIFT = Block("clock_drift", "c_d", "vector", 1, "m/s", "-", "m/s")
 
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (bias, drift). p: densities of the phase's and of the frequency's random walk."""
+    """``b' = d + white``, ``d' = white``, in closed form.
+
+    p (2,): density of the phase's random walk (m/sqrt(s)), of the frequency's (m/s^1.5). u
+    (rows, 1): dt, s. x, x_next (2,): b (m), d (m/s). F, Q (2, 2), SI.
+    """
     h = duration(u)
     phase, frequency = p[0] ** 2, p[1] ** 2
     x_next[0], x_next[1] = x[0] + h * x[1], x[1]

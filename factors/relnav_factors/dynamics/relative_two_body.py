@@ -25,7 +25,12 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r_tc_i, v_tc_i, r_c_i, v_c_i). p: field, acceleration density, longest step."""
+    """``r_tc'' = g(r_c) - g(r_c - r_tc) + white``, by Runge-Kutta steps.
+
+    p (7,): field (5,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s. x
+    (12,): r_tc_i (m), v_tc_i (m/s), r_c_i, v_c_i. x_next (6,): r_tc_i, v_tc_i. F (6, 12), Q (6, 6),
+    SI.
+    """
     S, nothing = dense.identity(12), np.zeros((6, 6))
     y, total, noise = coast(p, x, S, nothing, duration(u), p[FIELD + 1], 0.0, p[FIELD])
     for i in range(6):

@@ -25,7 +25,11 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x = (r, v)."""
+    """``r'' = white``, in closed form.
+
+    p (1,): acceleration density, m/s^1.5. u (rows, 1): dt, s. x, x_next (6,): r (m), v (m/s), of c
+    from t, both in o or both in t. F, Q (6, 6), SI.
+    """
     dt = duration(u)
     dense.put_block(F, 0, 0, dense.identity(6), 1.0)
     dense.put_block(Q, 0, 0, np.zeros((6, 6)), 1.0)

@@ -19,7 +19,11 @@ from relnav_graph.maths import dense
 
 @jit
 def chaser_in_target(attitudes: Array) -> tuple[Array, Array]:
-    """R_tc and its Jacobian, from (R_oc, R_ot) or from (R_tc) itself."""
+    """``R_tc``, and its Jacobian to the attitudes that it is made of.
+
+    attitudes: (18,): R_oc, R_ot row by row, or (9,): R_tc itself. Returns R_tc (3, 3) and the
+    Jacobian (3, 6) or (3, 3), rad/rad, of right perturbations.
+    """
     first = dense.matrix_at(attitudes, 0)
     if attitudes.shape[0] == 9:
         return first, dense.identity(3)
@@ -28,8 +32,12 @@ def chaser_in_target(attitudes: Array) -> tuple[Array, Array]:
 
 @jit
 def turn_between(R_cs: Array, before: Array, now: Array) -> tuple[Array, Array]:
-    """R_s-s (3, 3), from present sensor axes to those of before, and the Jacobian of its
-    right perturbation to the attitudes of before and of now, each (R_oc, R_ot) or (R_tc)."""
+    """``R_s-s = R_cs^T R_tc-^T R_tc R_cs``: from present sensor axes s to those of before, s-.
+
+    R_cs: (3, 3); before, now: (18,): R_oc, R_ot row by row, or (9,): R_tc. Returns R_s-s (3, 3) and
+    the Jacobian (3, 12) or (3, 6), rad/rad, of its right perturbation to those of the attitudes
+    before, then now.
+    """
     R_before, to_before = chaser_in_target(before)
     R_now, to_now = chaser_in_target(now)
     R_cc = dense.transposed_matmul(R_before, R_now)
@@ -43,8 +51,12 @@ def turn_between(R_cs: Array, before: Array, now: Array) -> tuple[Array, Array]:
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (3,): Log(R_measured^T R_s-s), in present sensor axes. x: the attitudes of before,
-    then those of now."""
+    """``r = Log(R_measured^T R_s-s)``, in present sensor axes, see `turn_between`.
+
+    p (9,): R_cs row by row. q (0,). z (4,): q_wxyz of R_s-s. x (36,): R_oc-, R_ot-, R_oc, R_ot row
+    by row, or (18,): R_tc-, R_tc; the minus marks the earlier epoch. r (3,), rad. H (3, 12) or
+    (3, 6), rad/rad.
+    """
     half = x.shape[0] // 2
     turn, jacobian = turn_between(dense.matrix_at(p, 0), x[:half], x[half:])
     dense.put_block(H, 0, 0, dense.matmul(attitude_residual(z, turn, r), jacobian), 1.0)
@@ -72,6 +84,6 @@ class AttitudeOdometry(AttitudeSensor):
         return *previous_blocks(self.pose)[:-1], *pose_blocks(self.pose)[:-1]
 
     def attitude(self, *x: Array) -> Array:
-        """R_s-s (3, 3)."""
+        """R_s-s (3, 3), which takes present sensor axes to those of before."""
         before, now = np.concatenate([np.ravel(value) for value in x]).reshape(2, -1)
         return turn_between(np.array(self.sensor_attitude), before, now)[0]

@@ -18,7 +18,11 @@ from relnav_graph.units import Quantity
 
 @jit(from_python=True)
 def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Array]:
-    """Unit vector (3,) to a beacon in sensor axes, and its Jacobian to the pose."""
+    """Unit vector b (3,) to a beacon in sensor axes, and its Jacobian to the pose.
+
+    mounting: (12,): R_cs row by row, r_sc_c (m); beacon_t: (3,), m, in t; x: (21,): R_oc, R_ot,
+    r_tc_o (m), or (12,): R_tc, r_tc_t (m). The Jacobian is (3, 9) or (3, 6), per rad and per m.
+    """
     p, jacobian = point_in_sensor(mounting, beacon_t, x)
     b, _ = direction(p, jacobian)
     return b, jacobian
@@ -26,8 +30,14 @@ def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Ar
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (2,): the rotation, in rad, from measured to predicted line of sight, resolved
-    across the measured one."""
+    """Rotation from the measured to the predicted line of sight, across the measured one.
+
+    p (12,): R_cs row by row, r_sc_c (m). q (3,): the beacon X_t, m. z (3,): unit vector in s. x
+    (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m). r (2,), rad, see
+    `sphere_residual`. H (2, 9) or (2, 6). Status `OPPOSITE`: b is opposite to z.
+
+        b = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c), normalised
+    """
     b, db = line_of_sight(p, q, x)
     return sphere_residual(z, b, db, 0, r, H)
 
@@ -51,7 +61,10 @@ class BeaconLineOfSight(PointSensor):
     sigma: Annotated[float, Quantity("rad", positive=True)]
 
     def accept(self, z: Array) -> Array:
-        """Unit vectors (k, 3). Raises InputError when one is not, within 1e-3."""
+        """Unit vectors (k, 3) in sensor axes, made exact.
+
+        Raises InputError when the length of one is not 1 within 1e-3.
+        """
         lengths = np.linalg.norm(super().accept(z), axis=1, keepdims=True)
         if (np.abs(lengths - 1) > 1e-3).any():
             worst = z[np.abs(lengths - 1).argmax()]
@@ -68,7 +81,10 @@ class BeaconLineOfSight(PointSensor):
         return turned(np.ascontiguousarray(z), np.ascontiguousarray(e))
 
     def centre(self, ids: Indices, z: Array) -> Array:
-        """As far away as makes the points' spread look as large as it does."""
+        """Rough middle of the beacons: along the mean line, as far away as their spread tells.
+
+        ids: (k,); z: (k, 3), unit vectors. Returns (3,), m, in sensor axes.
+        """
         middle = z.mean(axis=0)
         spread = np.sqrt(((z - middle) ** 2).sum(axis=1).mean())
         size = np.sqrt(((self.points[ids] - self.points[ids].mean(axis=0)) ** 2).sum(axis=1).mean())

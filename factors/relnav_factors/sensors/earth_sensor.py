@@ -23,8 +23,11 @@ _BEHIND = "the Earth is behind the sensor"
 
 @jit
 def earth_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
-    """Place (3,) of the Earth's centre in sensor axes, and its Jacobian (3, 6) to
-    x = (R_ic, r_c_i)."""
+    """``e = R_cs^T R_ic^T (-r_c_i)``: the Earth's centre in sensor axes, and its Jacobian.
+
+    R_cs: (3, 3); x: starts with R_ic row by row (9,), r_c_i (3,), m. Returns e (3,), m, and its
+    Jacobian (3, 6) to (R_ic, r_c_i): per rad of a right perturbation, then per m.
+    """
     R_ic, down_i = dense.matrix_at(x, 0), dense.vector_at(x, 9)
     for i in range(3):
         down_i[i] = -down_i[i]
@@ -37,7 +40,11 @@ def earth_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (2,): roll and pitch, rad. x = (R_ic, r_c_i, bias); p: R_cs row by row."""
+    """``r = (atan2(e_y, e_z), atan2(e_x, e_z)) + b - z``, see `earth_in_sensor`.
+
+    p (9,): R_cs row by row. q (0,). z (2,): roll, pitch, rad. x (14,): R_ic row by row, r_c_i (m),
+    b (2,), rad. r (2,), rad. H (2, 8) to (R_ic, r_c_i, b). Status 1: the Earth is behind.
+    """
     e, de = earth_in_sensor(dense.matrix_at(p, 0), x)
     if e[2] <= 0.0:
         return 1
@@ -78,7 +85,7 @@ class EarthSensor(MountedSensor):
         return CHASER_ATTITUDE, CHASER_POSITION, EARTH_SENSOR_BIAS
 
     def accept(self, z: Array) -> Array:
-        """z (k, 2). Raises InputError on angles that are none in rad."""
+        """z (k, 2), rad. Raises InputError on angles too large to be in rad."""
         z = super().accept(z)
         bad = np.abs(z) > 0.5 * np.pi + 0.1
         if bad.any():

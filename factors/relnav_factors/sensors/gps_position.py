@@ -19,8 +19,12 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (3,): predicted minus measured position. x = (r_c_i) or, with an antenna away from
-    the chaser's origin, (r_c_i, R_ic); p: its place in c."""
+    """``r = r_c_i + R_ic r_ac_c - z``.
+
+    p (3,): r_ac_c, m, the antenna in c. q (0,). z (3,): the antenna in i, m. x (3,): r_c_i (m), or,
+    with an antenna away from the chaser's origin, (12,): r_c_i, R_ic row by row. r (3,), m. H
+    (3, 3) or (3, 6).
+    """
     dense.put_block(H, 0, 0, dense.identity(3), 1.0)
     for i in range(3):
         r[i] = x[i] - z[i]

@@ -22,13 +22,18 @@ from relnav_graph.units import Quantity
 
 #: Distances from the Earth's centre that a navigation satellite can have, m.
 _LOWEST, _HIGHEST = 1e7, 5e7
-#: A clock so wrong that a pseudorange is shorter than that, m, is set before it is used.
+#: Shortest pseudorange, m: a receiver sets a clock so wrong that it gives a shorter one.
 _SHORTEST = 1e6
 
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (1,): |r_c - r_g| + b - measured. x = (r_c_i, b); z = (pseudorange, r_g_i)."""
+    """``r = |r_c - r_g| + b - measured``.
+
+    p (0,). q (0,). z (4,): pseudorange (m), r_g_i of the satellite (m). x (4,): r_c_i (m), b (m),
+    the clock's offset times the speed of light. r (1,), m. H (1, 4). Status 1: the receiver is
+    where the satellite is.
+    """
     line = dense.vector_at(x, 0)
     for i in range(3):
         line[i] -= z[1 + i]

@@ -25,9 +25,10 @@ Axes = Literal["chaser", "orbital"]
 
 @jit
 def target_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
-    """Position (3,) of the target in sensor axes, and its Jacobian.
+    """``s = R_cs^T R_oc^T (-r_tc_o)``: the target in sensor axes, and its Jacobian.
 
-    x: r_tc_o (3,), then maybe R_oc (9,); the Jacobian is (3, 3) or (3, 6).
+    R_cs: (3, 3), or R_os where x has no attitude; x: (12,): r_tc_o (m), R_oc row by row, or (3,):
+    r_tc_o. Returns s (3,), m, and its Jacobian (3, 6) or (3, 3) to r_tc_o, then R_oc (per rad).
     """
     r_ct_o = dense.vector_at(x, 0)
     for i in range(3):
@@ -46,9 +47,15 @@ def target_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (3,): range, m, then the rotation across the measured line, rad.
+    """Range, predicted minus measured, then the rotation across the measured line of sight.
 
-    p: R_cs row by row; z: range and unit vector (4,), see `LaserRangeAngles.accept`.
+    p (9,): R_cs, or R_os, row by row. q (0,). z (4,): range (m), unit vector in s, see
+    `LaserRangeAngles.accept`. x (12,): r_tc_o (m), R_oc row by row, or (3,): r_tc_o. r (3,): m,
+    rad, rad. H (3, 6) or (3, 3). Status `OPPOSITE`: b is opposite to the line.
+
+        r = (|s| - range, rotation from the measured line to b = s / |s|)
+
+    s: see `target_in_sensor`.
     """
     s, ds = target_in_sensor(dense.matrix_at(p, 0), x)
     to_line = dense.add_scaled(ds, ds, 0.0)
@@ -105,8 +112,11 @@ class LaserRangeAngles(MountedSensor):
         return (RELATIVE_POSITION,)
 
     def accept(self, z: Array) -> Array:
-        """Range, m, and unit vector (k, 4). Raises InputError on a range that is not
-        positive and on angles that are none in rad."""
+        """Range (m) and unit vector in s, (k, 4).
+
+        z: range (m), azimuth, elevation (rad), (k, 3). Raises InputError on a range that is not
+        positive and on angles too large to be in rad.
+        """
         z = super().accept(z)
         bad = ~(z[:, 0] > 0)
         if bad.any():

@@ -22,8 +22,14 @@ from relnav_graph.units import Quantity
 
 @jit
 def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
-    """R_s-s, where the scene's centre lies in the sensor axes of before (3,), and their
-    Jacobians to the poses of before and of now. p: mounting (12,), centre (3,)."""
+    """The turn R_s-s, and where the scene's centre lies in the sensor axes of before, s-.
+
+    p: (15,): R_cs row by row, r_sc_c (m), the scene's centre in present sensor axes (m); x: (42,):
+    R_oc, R_ot row by row, r_tc_o (m) of before, then of now, or (24,): R_tc, r_tc_t of both.
+    Returns R_s-s (3, 3), the place (3,), m, and their Jacobians (3, 18) or (3, 12) to both poses.
+
+        place = p_t- + R_s-s (centre - p_t),  p_t: the target's origin in sensor axes
+    """
     mounting, nowhere, half = p[:12], np.zeros(3), x.shape[0] // 2
     before, to_before = point_in_sensor(mounting, nowhere, x[:half])
     now, to_now = point_in_sensor(mounting, nowhere, x[half:])
@@ -48,8 +54,13 @@ def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (6,): where the scene's centre was, predicted minus measured, m; then
-    Log(R_measured^T R_s-s), rad. x: the pose of before, then that of now."""
+    """Where the scene's centre was, predicted minus measured; then ``Log(R_measured^T R_s-s)``.
+
+    p (15,): R_cs row by row, r_sc_c (m), the scene's centre in present sensor axes (m). q (0,). z
+    (7,): r (m) and q_wxyz of `PoseOdometry`. x (42,): R_oc, R_ot row by row, r_tc_o (m) of before,
+    then of now, or (24,): R_tc, r_tc_t (m) of both. r (6,): m in sensor axes of before, then rad in
+    present ones. H (6, 18) or (6, 12).
+    """
     turn, place, to_turn, to_place = pose_between(p, x)
     R_measured, angles = so3.from_quaternion(z[3:]), np.empty(3)
     slope = attitude_residual(z[3:], turn, angles)
@@ -99,12 +110,15 @@ class PoseOdometry(MountedSensor):
         return np.concatenate([super().constants(), self.sensor_position, self.scene_centre])
 
     def accept(self, z: Array) -> Array:
-        """r and unit quaternions (k, 7). Raises InputError when one is not, within 1e-3."""
+        """r (m) and unit quaternions, (k, 7).
+
+        Raises InputError when the length of a quaternion is not 1 within 1e-3.
+        """
         z = super().accept(z)
         return np.hstack([z[:, :3], unit_quaternions(self.kind, z[:, 3:])])
 
     def predict(self, ids: Indices, *x: Array) -> Array:
-        """r and q_wxyz (k, 7), w >= 0."""
+        """r (m) and q_wxyz, (k, 7), w >= 0."""
         packed = np.concatenate([np.ravel(value) for value in x])
         turn, place, _, _ = pose_between(self.constants(), packed)
         one = np.concatenate([place - turn @ self.scene_centre, so3.quaternion(turn)])

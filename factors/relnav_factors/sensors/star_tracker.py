@@ -19,13 +19,20 @@ from relnav_graph.maths.orbit import KeplerOrbit
 
 @jit
 def inertial_attitude(p: Array, x: Array) -> Array:
-    """R_is = R_ic R_cs, (3, 3)."""
+    """``R_is = R_ic R_cs``, (3, 3), the attitude of the sensor in the inertial frame.
+
+    p: (9,): R_cs row by row; x: (9,): R_ic. Matrices of rotations, without unit.
+    """
     return dense.matmul(dense.matrix_at(x, 0), dense.matrix_at(p, 0))
 
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (3,): Log(R_measured^T R_is), in sensor axes; x = R_ic."""
+    """``r = Log(R_measured^T R_ic R_cs)``, in sensor axes.
+
+    p (9,): R_cs row by row. q (0,). z (4,): q_wxyz of R_is. x (9,): R_ic row by row. r (3,), rad. H
+    (3, 3), rad/rad.
+    """
     jacobian = attitude_residual(z, inertial_attitude(p, x), r)
     for i in range(3):
         for j in range(3):
@@ -64,5 +71,8 @@ class StarTracker(AttitudeSensor):
         return (CHASER_ATTITUDE,)
 
     def attitude(self, *x: Array) -> Array:
-        """R_is (3, 3)."""
+        """R_is (3, 3), which takes sensor axes to inertial ones.
+
+        x: R_ic (3, 3).
+        """
         return inertial_attitude(self.constants(), np.ravel(x[0]))

@@ -18,8 +18,13 @@ from relnav_graph.units import Quantity
 
 @jit
 def project_stereo(p: Array, point_s: Array) -> tuple[Array, Array]:
-    """Pixels (ul, vl, ur, vr) of a point in the axes of the left camera (x right, y down,
-    z ahead), and their Jacobian (4, 3). p ends with fu, fv, cu, cv (px), baseline (m)."""
+    """Pixels (ul, vl, ur, vr) of a point, and their Jacobian.
+
+    p: (17,): ends with fu, fv, cu, cv (px), baseline b (m); point_s: (3,): X right, Y down, Z ahead
+    in the left camera, m. Returns (4,), pixels, and (4, 3), pixels per m.
+
+        ul = fu X / Z + cu,  ur = fu (X - b) / Z + cu,  vl = vr = fv Y / Z + cv
+    """
     fu, fv, cu, cv, baseline = p[12], p[13], p[14], p[15], p[16]
     x, y, depth = point_s[0], point_s[1], point_s[2]
     pixels = np.empty(4)
@@ -38,7 +43,12 @@ def project_stereo(p: Array, point_s: Array) -> tuple[Array, Array]:
 
 @jit
 def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (4,): predicted minus measured pixels. Status 1: the point is behind the camera."""
+    """Predicted minus measured pixels, see `project_stereo` and `point_in_sensor`.
+
+    p (17,): R_cs row by row, r_sc_c (m), fu, fv, cu, cv (px), baseline (m). q (3,): the point X_t,
+    m. z (4,): ul, vl, ur, vr, pixels. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc,
+    r_tc_t (m). r (4,), pixels. H (4, 9) or (4, 6). Status 1: behind the camera.
+    """
     point_s, jacobian = point_in_sensor(p, q, x)
     if point_s[2] <= 0.0:
         return 1
@@ -50,7 +60,12 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
 
 @jit
 def cartesian_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (3,): predicted minus measured position in sensor axes."""
+    """Predicted minus measured position in sensor axes, see `point_in_sensor`.
+
+    p (12,): R_cs row by row, r_sc_c (m). q (3,): the point X_t, m. z (3,): position in s, m. x
+    (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m). r (3,), m. H (3, 9) or
+    (3, 6).
+    """
     point_s, jacobian = point_in_sensor(p, q, x)
     dense.put_vector(r, 0, dense.add_scaled_vector(point_s, z, -1.0))
     dense.put_block(H, 0, 0, jacobian, 1.0)
@@ -93,7 +108,10 @@ class StereoPoint(PointSensor):
         return out
 
     def centre(self, ids: Indices, z: Array) -> Array:
-        """The middle of the points, each where its two lines meet."""
+        """The mean of the points, each triangulated from its two pixels.
+
+        ids: (k,); z: (k, 4), pixels. Returns (3,), m, in sensor axes.
+        """
         depth = self.fu * self.baseline / np.maximum(z[:, 0] - z[:, 2], 1e-3)
         across = (z[:, 0] - self.cu) / self.fu, (z[:, 1] - self.cv) / self.fv
         return np.array([np.mean(depth * across[0]), np.mean(depth * across[1]), depth.mean()])
@@ -121,7 +139,10 @@ class StereoPointCartesian(PointSensor):
         return self.points_in_sensor(ids, *x)
 
     def centre(self, ids: Indices, z: Array) -> Array:
-        """The middle of the positions."""
+        """The mean of the positions (k, 3), m.
+
+        ids: (k,). Returns (3,), m, in sensor axes.
+        """
         return np.asarray(z.mean(axis=0))
 
     def noise(self, m: Measurement) -> Array:

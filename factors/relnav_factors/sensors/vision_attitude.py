@@ -18,7 +18,12 @@ from relnav_graph.maths import dense, so3
 
 @jit
 def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
-    """R_st (3, 3) and R_tc. p: R_cs, and whether x = (R_tc) or (R_ot) where it is one."""
+    """``R_st = R_cs^T R_tc^T`` (3, 3), and R_tc (3, 3).
+
+    p: (10,): R_cs row by row, 1 where x is R_ot alone (R_os is then in place of R_cs, and o plays
+    the part of c), else 0; x: (18,): R_oc, R_ot row by row, or (9,): R_tc or R_ot. Matrices of
+    rotations, without unit.
+    """
     first = dense.matrix_at(x, 0)
     if x.shape[0] == 18:
         R_tc = dense.transposed_matmul(dense.matrix_at(x, 9), first)
@@ -32,7 +37,11 @@ def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """r (3,): Log(R_measured^T R_st), in target axes. x = (R_oc, R_ot), (R_tc) or (R_ot)."""
+    """``r = Log(R_measured^T R_st)``, in target axes, see `target_in_sensor`.
+
+    p (10,): R_cs row by row, 1 where x is R_ot alone, else 0. q (0,). z (4,): q_wxyz of R_st. x
+    (18,): R_oc, R_ot row by row, or (9,): R_tc or R_ot. r (3,), rad. H (3, 6) or (3, 3), rad/rad.
+    """
     predicted, R_tc = target_in_sensor(p, x)
     jacobian = attitude_residual(z, predicted, r)
     if x.shape[0] == 9 and p[9] != 0.0:
@@ -73,7 +82,11 @@ class VisionAttitude(AttitudeSensor):
     def starts(
         self, ids: Indices, z: Array, known: Mapping[str, Array]
     ) -> Iterator[dict[str, Array]]:
-        """The attitude as measured; with poses in the orbital frame, by the chaser's."""
+        """The one attitude that the first measurement gives.
+
+        z: (k, 4), q_wxyz; known: values of the other blocks: with poses in the orbital frame, R_oc
+        (3, 3) is needed.
+        """
         R_ct = self.sensor_attitude @ so3.from_quaternion(z[0])
         if self.seen_from == "target":
             yield {RELATIVE_ATTITUDE.name: R_ct.T}
@@ -83,6 +96,6 @@ class VisionAttitude(AttitudeSensor):
             yield {TARGET_ATTITUDE.name: known[CHASER_ATTITUDE.name] @ R_ct}
 
     def attitude(self, *x: Array) -> Array:
-        """R_st (3, 3)."""
+        """R_st (3, 3), which takes target axes to sensor axes."""
         packed = np.concatenate([np.ravel(value) for value in x])
         return target_in_sensor(self.constants(), packed)[0]

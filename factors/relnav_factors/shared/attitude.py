@@ -23,15 +23,21 @@ UNIT = 1e-3
 
 @jit
 def attitude_residual(q_wxyz: Array, predicted: Array, r: Array) -> Array:
-    """Fill r (3,) with Log(R_measured^T R_predicted), rad; returns its inverse right
-    Jacobian (3, 3): dr / d(right perturbation of the prediction). q and -q are the same."""
+    """Fill r with ``Log(R_measured^T R_predicted)``, and give its Jacobian.
+
+    q_wxyz: (4,), of R_measured; q and -q are the same; predicted: (3, 3); r: (3,), rad. Returns the
+    inverse right Jacobian of SO(3) at r, (3, 3): dr to a right perturbation of the prediction.
+    """
     error = so3.log(dense.transposed_matmul(so3.from_quaternion(q_wxyz), predicted))
     dense.put_vector(r, 0, error)
     return so3.right_jacobian_inverse(error)
 
 
 def unit_quaternions(where: str, q_wxyz: Array) -> Array:
-    """Quaternions (k, 4) normalised. Raises InputError when a length is not 1 +- 1e-3."""
+    """Quaternions (k, 4) normalised, scalar first, without unit.
+
+    where: name for the message. Raises InputError when a length is not 1 +- 1e-3.
+    """
     lengths = np.linalg.norm(q_wxyz, axis=1, keepdims=True)
     error = np.abs(lengths - 1)
     if not (error <= UNIT).all():
@@ -64,7 +70,7 @@ class AttitudeSensor(MountedSensor):
     sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
 
     def accept(self, z: Array) -> Array:
-        """Unit quaternions (k, 4). Raises InputError when one is not, within 1e-3."""
+        """Unit quaternions (k, 4). Raises InputError when a length is not 1 within 1e-3."""
         return unit_quaternions(self.kind, super().accept(z))
 
     def attitude(self, *x: Array) -> Array:

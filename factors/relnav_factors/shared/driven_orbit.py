@@ -32,13 +32,16 @@ ATTITUDE, GYRO, FORCE, OTHERS = 0, 3, 6, 9
 def drive(
     p: Array, u: Array, y: Array, R_ic: Array, b_g: Array, b_f: Array
 ) -> tuple[Array, Array, Array]:
-    """y after an interval, its sensitivity to y, R_ic, b_g and b_f, (n, n + 9), and the
-    covariance (6, 6) of the noise of its first six.
+    """An orbit over an interval of strapdown samples, its sensitivity and its noise.
 
-    y: (r_c, v_c) or (r_tc, v_tc, r_c, v_c), m and m/s; p: field, density of the velocity's
-    random walk, longest step; u: rows (dt, w, f). In each row gravity acts first, then the
-    measured force, as a velocity and half of it, times dt, as a displacement: what is left
-    out is how gravity changes over that displacement.
+    p: (7,): field (5,), density of the velocity's random walk (m/s^1.5), longest step (s); u:
+    (rows, 7): dt (s), w_ci_c (rad/s), f in c (m/s^2); y: (n,): r_c (m), v_c (m/s), or r_tc, v_tc,
+    r_c, v_c, in i; R_ic: (3, 3); b_g: (3,), rad/s; b_f: (3,), m/s^2. Returns y at the end, its
+    sensitivity (n, n + 9) to y, R_ic, b_g and b_f, and the covariance (6, 6) of the noise of its
+    first six, SI.
+
+    In each row gravity acts first. Then the measured force adds dv to the velocity and dv dt / 2 to
+    the position: what is left out is how gravity changes over that displacement.
     """
     n = y.shape[0]
     S, Q = np.zeros((n, n + OTHERS)), np.zeros((6, 6))
@@ -98,5 +101,5 @@ class DrivenOrbit(DynamicsModel):
         return np.concatenate([earth_field(self.degree), own])
 
     def condense(self, u: Array) -> Array:
-        """The samples of an interval as one row, or a few where the chaser turns fast."""
+        """The samples of an interval, (rows, 7), as one row, or a few in a fast turn."""
         return condense(u, LARGEST_TURN)

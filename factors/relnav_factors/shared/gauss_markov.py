@@ -1,4 +1,4 @@
-"""First-order Gauss-Markov processes: biases that wander and forget."""
+"""First-order Gauss-Markov processes: biases that wander about zero."""
 
 from __future__ import annotations
 
@@ -16,16 +16,21 @@ from relnav_graph.units import Quantity
 
 @jit
 def decay(length: float, time_constant: float, sigma: float) -> tuple[float, float]:
-    """Factor exp(-h / T) of a bias over h seconds, and the variance that it gains."""
+    """Factor ``exp(-h / T)`` of a bias over h seconds, and the variance that it gains.
+
+    length: h, s; time_constant: T, s; sigma: in the long run, in the unit of the bias.
+    """
     kept = np.exp(-length / time_constant)
     return kept, -sigma * sigma * np.expm1(-2 * length / time_constant)
 
 
 @jit
 def walk_and_integral(length: float, time_constant: float) -> tuple[float, float, float, float]:
-    """Of b' = -b / T + unit white noise over h seconds: what b keeps; the time for which its
-    first value counts in its integral; the variances of b and of the integral. The
-    covariance of both is half the square of that time. T = inf: a random walk.
+    """Exact moments of ``b' = -b / T + white``, of density 1, and of its integral, over h seconds.
+
+    length: h, s; time_constant: T, s; inf: a random walk. Returns the factor that b keeps; the
+    time, s, by which its first value counts in the integral; the variance of b, s; that of the
+    integral, s^3. The covariance of b and the integral is half the square of that time.
     """
     a = length / time_constant
     kept = np.exp(-a)
@@ -40,7 +45,11 @@ def walk_and_integral(length: float, time_constant: float) -> tuple[float, float
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """x: the bias, of any dimension. p: time constant, sigma."""
+    """``b_next = exp(-h / T) b``, with noise of variance ``sigma^2 (1 - exp(-2 h / T))``.
+
+    p (2,): T (s), sigma (unit of b). u (rows, 1): dt, s. x, x_next (n,): b, such as m/s^2 or rad.
+    F, Q (n, n).
+    """
     kept, gained = decay(duration(u), p[0], p[1])
     for i in range(x.shape[0]):
         x_next[i] = kept * x[i]
@@ -52,7 +61,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
 @dataclass(frozen=True, kw_only=True)
 class GaussMarkov(DynamicsModel):
-    """b' = -b / T + white, of standard deviation sigma once it has forgotten its start.
+    """b' = -b / T + white, of standard deviation sigma in the long run.
 
     Exact over any interval: b(t + h) = exp(-h / T) b(t) + noise of variance sigma^2
     (1 - exp(-2 h / T)) (Gelb 1974, example 3.8-1).

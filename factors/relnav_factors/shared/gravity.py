@@ -22,7 +22,7 @@ FIELD = 5
 
 
 def earth_field(degree: int) -> Array:
-    """The Earth's field up to a degree, (5,)."""
+    """The Earth's field up to a degree, (5,): mu (m^3/s^2), equatorial radius (m), J2, J3, J4."""
     zonal = [J if n <= degree else 0.0 for n, J in zip((2, 3, 4), ZONAL_EARTH, strict=True)]
     return np.array([MU_EARTH, EARTH_RADIUS, *zonal])
 
@@ -42,11 +42,13 @@ def _legendre(s: float) -> tuple[Array, Array]:
 
 @jit
 def zonal_gravity(p: Array, r_i: Array, lowest: int) -> tuple[Array, Array]:
-    """Acceleration (3,) at r_i (3,) and its gradient (3, 3), of the degrees from `lowest`.
+    """Acceleration (3,), m/s^2, and its gradient (3, 3), 1/s^2, of the degrees from `lowest`.
 
-    Each degree n of the force function, -mu J_n R^n r^-(n+1) P_n(s) with s = z / r, gives
-    mu J_n R^n r^-(n+2) (P'_n+1(s) r_i / r - P'_n(s) z); J_0 = -1 is the sphere's (Vallado
-    2013, section 8.6; written with P'_n+1 = (n + 1) P_n + s P'_n).
+    p: starts with the field (5,); r_i: (3,), m, from the Earth's centre in i.
+
+    Each degree n of the force function, -mu J_n R^n r^-(n+1) P_n(s) with s = z / r, gives mu J_n
+    R^n r^-(n+2) (P'_n+1(s) r_i / r - P'_n(s) z); J_0 = -1 is the sphere's (Vallado 2013, section
+    8.6; written with P'_n+1 = (n + 1) P_n + s P'_n).
     """
     r = dense.norm(r_i)
     n_i, z_i, across = r_i / r, np.zeros(3), np.empty(3)
@@ -72,10 +74,12 @@ def zonal_gravity(p: Array, r_i: Array, lowest: int) -> tuple[Array, Array]:
 
 @jit
 def gravity_difference(p: Array, r_c: Array, r_tc: Array) -> tuple[Array, Array, Array]:
-    """g(r_c) - g(r_c - r_tc), (3,), and its Jacobians to r_tc and to r_c, (3, 3) each.
+    """``g(r_c) - g(r_c - r_tc)`` (3,), m/s^2, and its Jacobians to r_tc and to r_c, (3, 3) each.
 
-    The sphere's part in Battin's form (1999, eq. 8.61), which loses no digits however
-    small the separation; the harmonics' part is small enough to be subtracted.
+    p: starts with the field (5,); r_c, r_tc: (3,), m, in i.
+
+    The sphere's part in Battin's form (1999, eq. 8.61), which loses no digits however small the
+    separation; the harmonics' part is small enough to be subtracted.
     """
     r_t = dense.add_scaled_vector(r_c, r_tc, -1.0)
     s, q, distance2 = 0.0, 0.0, 0.0
@@ -120,7 +124,8 @@ def _derivative(p: Array, y: Array) -> tuple[Array, Array]:
 def orbit_step(p: Array, y: Array, h: float) -> tuple[Array, Array]:
     """y after one Runge-Kutta step of h seconds, and the step's own Jacobian.
 
-    y: (r_c, v_c) or (r_tc, v_tc, r_c, v_c), in inertial axes, m and m/s.
+    p: starts with the field (5,); y: (6,): r_c (m), v_c (m/s), or (12,): r_tc, v_tc, r_c, v_c, in
+    i. Returns y (n,) and the Jacobian (n, n), SI.
     """
     one = dense.identity(y.shape[0])
     at_y, at_d, end_y, end_d = y, one, y, one
@@ -143,9 +148,9 @@ def coast(
 ) -> tuple[Array, Array, Array]:
     """y after `length` seconds of gravity alone, its sensitivity and the noise of its first six.
 
-    y: as of `orbit_step`, whose steps take at most `longest` seconds; S (n, m), Q (6, 6):
-    from before. walk: density of a random walk of the position, m/sqrt(s); white: of the
-    acceleration's white noise, m/s^1.5.
+    p: starts with the field (5,); y: (n,), as of `orbit_step`, whose steps take at most `longest`
+    seconds; S: (n, m) and Q: (6, 6), from before; walk: density of a random walk of the position,
+    m/sqrt(s); white: of the acceleration's white noise, m/s^1.5. Returns y, S and Q at the end.
     """
     steps = step_count(length, longest)
     h, own = length / steps, np.empty((6, 6))

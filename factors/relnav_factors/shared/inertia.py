@@ -12,7 +12,10 @@ from relnav_graph.maths.inertia import TRACELESS
 
 @jit(from_python=True)
 def principal_ratios(k: Array) -> tuple[Array, Array]:
-    """l = tanh(k_x, k_y, -(k_x + k_y)), (3,), and its Jacobian to (k_x, k_y), (3, 2)."""
+    """``l = tanh(k_x, k_y, -(k_x + k_y))``, such as ``l_x = (J_y - J_z) / J_x``.
+
+    k: (2,). Returns l (3,) and its Jacobian (3, 2), all without unit.
+    """
     l, jacobian = np.empty(3), np.zeros((3, 2))
     l[0], l[1], l[2] = np.tanh(k[0]), np.tanh(k[1]), -np.tanh(k[0] + k[1])
     jacobian[0, 0] = 1 - l[0] * l[0]
@@ -63,10 +66,12 @@ def _inertia_of(density: Array) -> Array:
 
 @jit
 def inertia_matrix(k: Array) -> tuple[Array, Array]:
-    """J (3, 3), up to its scale, and its derivatives to k (5,), (5, 3, 3).
+    """J (3, 3), up to its scale, and its derivatives to k (5,), (5, 3, 3), without unit.
 
-    Every k is a body: D = exp(S) is positive definite, which holds just for inertias of
-    positive mass (Wensing, Kim, Slotine 2018, section III). See `catalogue.INERTIA_MATRIX`.
+        J = tr(D) I - D,  D = exp(sum of k_a TRACELESS[a])
+
+    Every k is a body: D, the second moment of the mass, is positive definite, which holds for
+    inertias of positive mass and for no others (Wensing, Kim, Slotine 2018, section III).
     """
     S = np.zeros((3, 3))
     for a in range(5):
@@ -106,15 +111,20 @@ def _gyroscopic(J: Array) -> Array:
 
 @jit
 def coefficients_of(J: Array) -> Array:
-    """A (3, 6), as `principal_coefficients` has it, of a known inertia J (3, 3)."""
+    """``A = -J^-1 C`` (3, 6) of a known inertia, with ``w x J w = C (w_x^2, ..., w_x w_y)``.
+
+    J: (3, 3), kg m^2 or any other scale. Order of the columns: see `principal_coefficients`.
+    """
     return dense.add_scaled(np.zeros((3, 6)), dense.matmul(_inverse(J), _gyroscopic(J)), -1.0)
 
 
 @jit
 def principal_coefficients(k: Array) -> tuple[Array, Array]:
-    """A (3, 6) with w' = A (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y) for a body
-    without torque about its principal axes, w_x' = l_x w_y w_z, and its derivatives to k (2,),
-    (2, 3, 6)."""
+    """``w' = A (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y)`` about principal axes, no torque.
+
+    k: (2,). Returns A (3, 6), which has no unit for w in rad/s, with ``w_x' = l_x w_y w_z`` and
+    cyclic, and its derivatives to k, (2, 3, 6).
+    """
     A, slope = np.zeros((3, 6)), np.zeros((2, 3, 6))
     l, dl = principal_ratios(k)
     for i in range(3):
@@ -126,7 +136,11 @@ def principal_coefficients(k: Array) -> tuple[Array, Array]:
 
 @jit
 def full_coefficients(k: Array) -> tuple[Array, Array]:
-    """What `principal_coefficients` gives, of the full matrix, A = -J^-1 C, and k (5,)."""
+    """``A = -J^-1 C`` for a body about any axes, as `principal_coefficients` for principal ones.
+
+    k: (5,), of `inertia_matrix`. Returns A (3, 6), which has no unit for w in rad/s, and its
+    derivatives to k, (5, 3, 6).
+    """
     J, dJ = inertia_matrix(k)
     slope = np.zeros((5, 3, 6))
     A, minus = coefficients_of(J), dense.add_scaled(np.zeros((3, 3)), _inverse(J), -1.0)

@@ -37,10 +37,11 @@ def pose_blocks(pose: Pose) -> tuple[Block, ...]:
 
 @jit
 def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, Array]:
-    """Position (3,) in sensor axes of a point given in target axes, and its Jacobian.
+    """Position in sensor axes of a point given in target axes, and its Jacobian to the pose.
 
-    mounting (12,): R_cs row by row, then r_sc_c, the sensor's place in the chaser.
-    x: R_oc, R_ot, r_tc_o (21,) or R_tc, r_tc_t (12,); the Jacobian is (3, 9) or (3, 6).
+    mounting: (12,): R_cs row by row, r_sc_c (m), the sensor's place in the chaser; point_t: X_t
+    (3,), m; x: (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m). Returns p_s
+    (3,), m, and its Jacobian (3, 9) or (3, 6), m/rad and m/m.
 
         p_s = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c)
     """
@@ -159,7 +160,10 @@ class PointSensor(MountedSensor):
 
 
 def axis_rotations() -> list[Array]:
-    """The 24 rotations that take axes to axes: none is farther than 63 deg from one."""
+    """The 24 rotations (3, 3) that take axes to axes.
+
+    Any rotation is within 63 deg of one of them.
+    """
     found = []
     for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]):
         for signs in np.ndindex(2, 2, 2):

@@ -13,7 +13,10 @@ from relnav_graph.compiled import jit
 
 @jit
 def start_of(w: Array, n: int) -> Array:
-    """The rate w (3,) at the start of a step, with its Jacobian to itself: (3, 1 + n)."""
+    """The rate w (3,), rad/s, at the start of a step, with its Jacobian to itself.
+
+    Returns (3, 1 + n): w, then the columns to (w, k).
+    """
     out = np.zeros((3, 1 + n))
     for i in range(3):
         out[i, 0], out[i, 1 + i] = w[i], 1.0
@@ -22,8 +25,12 @@ def start_of(w: Array, n: int) -> Array:
 
 @jit
 def euler_acceleration(w: Array, A: Array, dA: Array, out: Array) -> None:
-    """w' of a torque-free body from w, both with Jacobians, (3, 1 + n). A, dA: see
-    `relnav_factors.shared.inertia.principal_coefficients`."""
+    """``w' = A (w_x^2, w_y^2, w_z^2, w_y w_z, w_z w_x, w_x w_y)``: a body without torque.
+
+    w: (3, 1 + n), rad/s, with its Jacobian; A: (3, 6) and dA: (dim k, 3, 6), see
+    `relnav_factors.shared.inertia.principal_coefficients`; out: (3, 1 + n), filled with w',
+    rad/s^2, and its Jacobian.
+    """
     x, y, z = w[0, 0], w[1, 0], w[2, 0]
     for i in range(3):
         C = A[i]
@@ -42,11 +49,14 @@ def euler_acceleration(w: Array, A: Array, dA: Array, out: Array) -> None:
 
 @jit
 def rate_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
-    """One Runge-Kutta step of the rate: w and turn over h seconds, with their Jacobians,
-    (3, 1 + n) each, which are exact for the step as computed.
+    """One Runge-Kutta step of the rate, and the turn over it, with their Jacobians.
 
-    w: see `start_of`. The turn is Magnus' series to fourth order: the mean rate, with the
-    midpoint from the Hermite polynomial, and the coning term (w0 x w1) h^2 / 12.
+    w: (3, 1 + n), rad/s, see `start_of`; A, dA: see `euler_acceleration`; h: s. Returns the rate,
+    rad/s, in t and the rotation vector, rad, over h seconds, both (3, 1 + n); the Jacobians are
+    exact for the step as computed.
+
+    The turn is Magnus' series to fourth order: the mean rate, with the midpoint from the Hermite
+    polynomial, and the coning term (w0 x w1) h^2 / 12.
     """
     n = w.shape[1]
     first, at, w1 = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
@@ -79,7 +89,9 @@ def rate_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
 
 @jit
 def published_step(w: Array, A: Array, dA: Array, h: float) -> tuple[Array, Array]:
-    """One Euler step, as Hu et al. 2019 predict; takes and gives what `rate_step` does.
+    """One Euler step, as Hu et al. 2019 predict.
+
+    w, A, dA, h: as of `rate_step`. Returns rate (rad/s) and turn (rad), (3, 1 + n) each.
 
     Their q + q' h, made a unit quaternion again, turns by 2 atan(|w| h / 2) about w.
     """

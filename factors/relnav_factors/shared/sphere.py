@@ -14,8 +14,11 @@ OPPOSITE = 1
 
 @jit
 def direction(p: Array, jacobian: Array) -> tuple[Array, float]:
-    """Unit vector (3,) along p (3,), and its length. jacobian: of p, (3, n); becomes that of
-    the unit vector."""
+    """Unit vector ``b = p / |p|`` and the length ``|p|``.
+
+    p: (3,), m; jacobian: of p, (3, n); becomes that of b, in place: ``(I - b b^T) dp / |p|``.
+    Returns b (3,) and the length, m.
+    """
     distance = dense.norm(p)
     b = np.empty(3)
     for i in range(3):
@@ -29,7 +32,10 @@ def direction(p: Array, jacobian: Array) -> tuple[Array, float]:
 
 @jit
 def tangent_basis(b: Array) -> Array:
-    """Two unit vectors across the unit vector b, as the columns of a (3, 2) matrix."""
+    """Two orthogonal unit vectors across the unit vector b.
+
+    b: (3,). Returns them as the columns of a (3, 2) matrix, without unit.
+    """
     smallest = 0
     for i in range(1, 3):
         if abs(b[i]) < abs(b[smallest]):
@@ -46,7 +52,11 @@ def tangent_basis(b: Array) -> Array:
 
 @jit
 def turned(lines: Array, e: Array) -> Array:
-    """Unit vectors (k, 3), each turned by the rotation e (k, 2), rad, across it."""
+    """Unit vectors, each turned by a rotation across it.
+
+    lines: (k, 3); e: (k, 2), rad, how far it moves along each column of `tangent_basis`. Returns
+    (k, 3).
+    """
     out = np.empty(lines.shape)
     for k in range(lines.shape[0]):
         basis = tangent_basis(lines[k])
@@ -60,11 +70,15 @@ def turned(lines: Array, e: Array) -> Array:
 
 @jit
 def sphere_residual(z: Array, b: Array, db: Array, row: int, r: Array, H: Array) -> int:
-    """Fill two rows, from `row` on, of r and of H with the rotation, in rad, from the
-    measured unit vector z to the predicted b, resolved across z (the logarithm of the
-    sphere; its noise has rank 2), and its Jacobian. db (3, n): the Jacobian of b.
+    """Fill two rows of r and H with the rotation from z to b, resolved across z.
 
-    Returns `OPPOSITE` when b is opposite to z, else 0.
+    z: measured unit vector (3,); b: predicted one (3,); db: Jacobian of b, (3, n). Fills
+    ``r[row : row + 2]``, rad, and the same rows of H, (2, n). Returns `OPPOSITE` when b is opposite
+    to z, else 0.
+
+        r = angle / sin(angle) B^T b,  angle between z and b, B = tangent_basis(z)
+
+    This is the logarithm on the sphere: two numbers, so that its noise has full rank.
     """
     basis = tangent_basis(z)
     across = dense.transposed_matvec(basis, b)

@@ -33,8 +33,12 @@ LARGEST_TURN = 0.1
 def velocity_gained(
     R_ic: Array, row: Array, b_g: Array, b_f: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Velocity (3,) in i gained over a sample without its biases, its Jacobians (3, 3) to
-    R_ic, to the gyro's and to the accelerometer's bias; and R_ic at the end of the sample."""
+    """Velocity gained over a sample, ``R_ic Exp(w dt / 2) f dt`` without the biases, in i.
+
+    R_ic: (3, 3) at the start; row: (7,): dt (s), w_ci_c (rad/s), f in c (m/s^2); b_g: (3,), rad/s;
+    b_f: (3,), m/s^2. Returns the velocity (3,), m/s; its Jacobians (3, 3) to R_ic (a right
+    perturbation, rad), to b_g and to b_f; and R_ic (3, 3) at the end.
+    """
     dt = row[0]
     half, force = np.empty(3), np.empty(3)
     for i in range(3):
@@ -85,7 +89,10 @@ def _one(u: Array, first: int, last: int, out: Array) -> None:
 
 @jit
 def condense(u: Array, largest: float) -> Array:
-    """Rows (dt, w) or (dt, w, f) as few rows: each turns by about `largest`, rad, at most."""
+    """Consecutive rows merged into few: each turns by about `largest`, rad, at most.
+
+    u: (rows, 4): dt (s), w (rad/s), or (rows, 7): with f (m/s^2) too. Returns fewer rows alike.
+    """
     out, rows, first, angle = np.empty(u.shape), 0, 0, 0.0
     for row in range(u.shape[0]):
         own = dense.norm(u[row, 1:4]) * u[row, 0]

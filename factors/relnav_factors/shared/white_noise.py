@@ -11,7 +11,10 @@ from relnav_graph.maths import dense
 
 @jit
 def duration(u: Array) -> float:
-    """Length of an interval, s: the sum over its sub-intervals."""
+    """Length of an interval, s: the sum over its sub-intervals.
+
+    u: (rows, 1 + channels), the length of each sub-interval first, s.
+    """
     out = 0.0
     for row in range(u.shape[0]):
         out += u[row, 0]
@@ -26,10 +29,14 @@ def step_count(length: float, longest: float) -> int:
 
 @jit
 def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) -> None:
-    """Add the noise of three axes whose rate is a random walk, over h seconds.
+    """Add to Q the noise of three axes whose rate is a random walk, over h seconds.
 
-    Values stand at `row`, their rates at ``row + 3``; variance: squared density of the
-    white noise that drives the rates (Bar-Shalom, Li, Kirubarajan 2001, eq. 6.2.2-12).
+    Q: (n, n), changed in place: values stand at `row`, their rates at ``row + 3``; variance:
+    squared density S of the white noise that drives the rates, such as m^2/s^3; h: s.
+
+        Q_vv += S h^3 / 3,  Q_vr += S h^2 / 2,  Q_rr += S h
+
+    After Bar-Shalom, Li, Kirubarajan 2001, eq. 6.2.2-12.
     """
     of_rate = variance * h
     joint = of_rate * h / 2
@@ -43,14 +50,20 @@ def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) ->
 
 @jit
 def carry(step: Array, F: Array, Q: Array) -> None:
-    """Bring the sensitivity F and the noise Q of what came before to the end of a step."""
+    """Over a step, in place: ``F <- step F``, ``Q <- step Q step^T``.
+
+    step, Q: (n, n); F: (n, m), the sensitivity so far. Units: those of the state.
+    """
     dense.put_block(F, 0, 0, dense.matmul(step, F), 1.0)
     dense.put_block(Q, 0, 0, dense.propagate_covariance(step, Q), 1.0)
 
 
 @jit
 def add_step(step: Array, variance: float, h: float, F: Array, Q: Array) -> None:
-    """:func:`carry` over a step of h seconds, whose first three values are driven as in
-    `add_integrated_white_noise`."""
+    """:func:`carry` over a step of h seconds, and the noise of the step itself.
+
+    step, F, Q: (n, n); variance, h: as of `add_integrated_white_noise`, which drives the first
+    three values and their rates, the next three.
+    """
     carry(step, F, Q)
     add_integrated_white_noise(Q, 0, variance, h)
