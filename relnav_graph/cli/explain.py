@@ -10,20 +10,19 @@ import click
 from relnav_graph.arrays import Array
 from relnav_graph.cli.shared import show_events, show_progress
 from relnav_graph.core.models import derived_quantities
-from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import try_estimator
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.bounds import true_trajectory
 
 
-def _nominal(run: Pass, problem: Problem) -> Array:
+def _nominal(run: Pass) -> Array:
     """The truth; of recorded data without one, the batch estimate."""
     try:
-        return true_trajectory(problem, run.recording.truth)
+        return true_trajectory(run.problem, run.recording.truth)
     except InputError as error:
         show_progress(f"{error}: linearised at the batch estimate instead")
-    track = try_estimator("batch", problem)
+    track = try_estimator("batch", run.problem)
     if track.status == "diverged":
         raise InputError(f"{run.scenario.name}: no trajectory to linearise at: {track.message}")
     return track.x
@@ -53,12 +52,11 @@ def command(
 
     show_events()
     run = open_pass(scenario, seed, data, assignments)
-    problem = run.scenario.problem(run.recording, run.seed)
     found = explain(
         run.scenario.name,
-        problem,
-        _nominal(run, problem),
+        run.problem,
+        _nominal(run),
         derived_quantities(run.scenario.layout),
-        run.scenario.window(problem.times),
+        run.scenario.window(run.problem.times),
     )
     click.echo(json.dumps(found, allow_nan=False) if as_json else explain_table(found))

@@ -28,7 +28,7 @@ def command(file: Path | None, assignments: tuple[str, ...], schema: bool) -> No
     if file.is_dir():
         show_events()
         run = open_dataset(file, assignments)
-        run.scenario.problem(run.recording, run.seed)
+        _ = run.problem  # it raises what is wrong with the recording
         counted: dict[str, int] = {}
         for m in run.recording.measurements:
             counted[m.sensor] = counted.get(m.sensor, 0) + len(m.z)

@@ -69,7 +69,8 @@ class FilterPass:
     By epoch: x_predicted (N, size) and P_predicted (N, n, n); F since the epoch before, zero
     at the first (or the last epoch's only); Q of the last epoch (1, n, n); x, P; nis and
     used: the squared normalised innovation of the rows used, and their number. weights: of
-    the observations, 1 or 0 for one left out. reached: epochs filtered; stopped: why it
+    the observations, 1 or 0 for one left out. end: where the
+    filter stood last. reached: epochs filtered; stopped: why it
     stopped early, or "".
     """
 

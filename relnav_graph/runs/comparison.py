@@ -74,8 +74,7 @@ def estimate_pass(
             tell(f"{flown.track.name}: {len(flown.problem.epochs)} epochs")
             out.append(Estimated(flown.problem, flown.track.truth, [flown.track]))
         return out
-    problem = run.scenario.problem(run.recording, run.seed, run.run)
-    tracks = []
+    problem, tracks = run.problem, []
     for kind in kinds:
         tell(f"{kind}: {len(problem.epochs)} epochs ...")
         tracks.append(estimate(kind, problem))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
@@ -33,6 +35,12 @@ class Pass:
     simulated: bool
     run: int = 0
     flown: bool = False
+
+    @cached_property
+    def problem(self) -> Problem:
+        """What estimators get, of a pass that is not flown; made once: a long one takes
+        seconds. Raises InputError when the recording gives none."""
+        return self.scenario.problem(self.recording, self.seed, self.run)
 
 
 def is_dataset(folder: Path) -> bool:

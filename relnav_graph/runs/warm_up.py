@@ -22,9 +22,9 @@ def warm_up(run: Pass, kinds: Sequence[str]) -> None:
         for _ in fly_all(_first_epochs(run.scenario), kinds, run.seed):
             pass
         return
-    problem = run.scenario.problem(run.recording, run.seed, run.run)
+    few = replace(run.problem, epochs=run.problem.epochs[:3])
     for kind in kinds:
-        try_estimator(kind, replace(problem, epochs=problem.epochs[:3]))
+        try_estimator(kind, few)
 
 
 def _first_epochs(scenario: Scenario) -> Scenario:
