@@ -1,8 +1,8 @@
 """Two-body motion with universal variables: any conic, and its transition matrices.
 
-An orbit travels to the kernels as an array (4,): semilatus rectum p (m), eccentricity,
-true anomaly at t = 0 (rad), mu (m^3/s^2). Four zeros stand for no orbit: a frame o that
-does not rotate.
+An orbit travels to the kernels as an array (5,): semilatus rectum p (m), eccentricity, true
+anomaly at the epoch (rad), mu (m^3/s^2), the epoch (s). Zeros stand for no orbit: a frame o
+that does not rotate.
 
 Sources: Battin 1999, ch. 4 (universal functions) and eqs. 9.84-9.87 (transition matrix);
 Conway 1986 (Laguerre's method for Kepler's equation).
@@ -29,14 +29,16 @@ __all__ = ["KeplerOrbit", "chief_motion", "frame_rotation", "relative_transition
 class KeplerOrbit:
     """Orbit of the target, known to the estimator.
 
-    semi_major_axis: m, negative for a hyperbola; eccentricity; true_anomaly: rad, at
-    t = 0; mu: m^3/s^2. Raises InputError on a conic that does not exist.
+    semi_major_axis: m, negative for a hyperbola; eccentricity; true_anomaly: rad, at the
+    epoch; mu: m^3/s^2; epoch: s, the time, in the pass's clock, at which the anomaly holds.
+    Raises InputError on a conic that does not exist.
     """
 
     semi_major_axis: Annotated[float, Quantity("m")]
     eccentricity: Annotated[float, Quantity("1", nonnegative=True)] = 0.0
     true_anomaly: Annotated[float, Quantity("rad")] = 0.0
     mu: Annotated[float, Quantity("m^3/s^2", positive=True)] = MU_EARTH
+    epoch: Annotated[float, Quantity("s")] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -50,17 +52,28 @@ class KeplerOrbit:
             raise InputError(f"orbit: true_anomaly {self.true_anomaly} rad is beyond the asymptote")
 
     def array(self) -> Array:
-        """(4,): semilatus rectum (m), eccentricity, true anomaly at t = 0 (rad), mu (m^3/s^2)."""
+        """(5,), SI and rad, in the order that the head of this module says."""
         p = self.semi_major_axis * (1 - self.eccentricity**2)
-        return np.array([p, self.eccentricity, self.true_anomaly, self.mu])
+        return np.array([p, self.eccentricity, self.true_anomaly, self.mu, self.epoch])
+
+    def revolutions(self, t: float) -> float:
+        """How many revolutions time t, s, is from the epoch, of either sign.
+
+        On a hyperbola, which has none: how often it would go round at perigee, with the radius
+        and the speed there.
+        """
+        a, e = self.semi_major_axis, self.eccentricity
+        perigee = a * (1 - e)
+        rate = np.sqrt(self.mu / a) / a if e < 1 else np.sqrt(self.mu * (1 + e) / perigee) / perigee
+        return float((t - self.epoch) * rate / (2 * np.pi))
 
 
 def orbit_array(orbit: KeplerOrbit | None) -> Array:
     """The orbit as kernels take it; zeros for None: a frame o that does not rotate.
 
-    Returns (4,): semilatus rectum (m), eccentricity, true anomaly at t = 0 (rad), mu (m^3/s^2).
+    Returns (5,), SI and rad, in the order that the head of this module says.
     """
-    return np.zeros(4) if orbit is None else orbit.array()
+    return np.zeros(5) if orbit is None else orbit.array()
 
 
 @jit
@@ -168,13 +181,14 @@ def two_body(r0: Array, v0: Array, mu: float, dt: float) -> tuple[Array, Array, 
 def chief_motion(orbit: Array, t: float) -> Array:
     """Motion of the target along its orbit at time t.
 
-    orbit: (4,), see the head of this module; t: s. Returns (5,): radius r (m), r' (m/s), true
+    orbit: (5,), see the head of this module; t: s. Returns (5,): radius r (m), r' (m/s), true
     anomaly (rad), its rate (rad/s) and acceleration (rad/s^2); zeros where there is no orbit.
     """
     p, e, theta0, mu = orbit[0], orbit[1], orbit[2], orbit[3]
     out = np.zeros(5)
     if mu == 0.0:
         return out
+    t -= orbit[4]
     r0 = p / (1 + e * np.cos(theta0))
     h = np.sqrt(mu * p)
     radial0 = mu / h * e * np.sin(theta0)
@@ -186,7 +200,7 @@ def chief_motion(orbit: Array, t: float) -> Array:
     u1, u2 = chi * c[1], chi**2 * c[2]
     radius = r0 * c[0] + sigma0 * u1 + u2
     f, g = 1 - u2 / r0, (r0 * u1 + sigma0 * u2) / root
-    # Position in the axes (radial, transverse) of t = 0.
+    # Position in the axes (radial, transverse) of the epoch.
     turned = np.arctan2(g * h / r0, f * r0 + g * radial0)
     out[0] = radius
     out[1] = root * (sigma0 * c[0] + (1 - alpha * r0) * u1) / radius
@@ -200,7 +214,7 @@ def chief_motion(orbit: Array, t: float) -> Array:
 def frame_rotation(orbit: Array, t0: float, t1: float) -> Array:
     """``R_o1o0``: takes components in o at t0 to components in o at t1.
 
-    orbit: (4,), see the head of this module; t0, t1: s. Returns (3, 3).
+    orbit: (5,), see the head of this module; t0, t1: s. Returns (3, 3).
     """
     turn = chief_motion(orbit, t1)[2] - chief_motion(orbit, t0)[2]
     return so3.exp(np.array([0.0, 0.0, -turn]))
@@ -210,7 +224,7 @@ def frame_rotation(orbit: Array, t0: float, t1: float) -> Array:
 def relative_transition(orbit: Array, t0: float, t1: float) -> Array:
     """Transition matrix of the separation (r_tc_o, r_tc_o') from t0 to t1, in closed form.
 
-    orbit: (4,), see the head of this module; t0, t1: s. Returns (6, 6), for m and m/s.
+    orbit: (5,), see the head of this module; t0, t1: s. Returns (6, 6), for m and m/s.
 
     It solves the equations of relative motion on an orbit of any eccentricity, linear in the
     separation: the two-body transition matrix seen from the rotating frame o. At eccentricity

@@ -250,7 +250,8 @@ def shared_orbit(
     if orbit is not None and "orbit" in names:
         out.setdefault("orbit", dict(orbit))
     elif orbit is not None and "semi_major_axis" in names:
-        out = {**orbit, **out}
+        placed = names & {"epoch", "true_anomaly", "argument_of_latitude"}
+        out = {**{k: v for k, v in orbit.items() if placed or k != "epoch"}, **out}
     return out
 
 

@@ -70,7 +70,7 @@ def test_gravity_is_the_gradient_of_the_potential() -> None:
 
 def test_orbits_are_those_of_another_integrator_with_a_thrust_held() -> None:
     flight, thrust = QUIET.fly(0.0, rng()), np.array([10.0, -20.0, 30.0])
-    y0 = QUIET.craft()
+    y0 = QUIET.craft(0.0)
 
     def slope(_: float, y: Array) -> Array:
         pushed = gravity(y[6:9].copy()) + thrust / 1500.0

@@ -62,7 +62,7 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
 def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array]:
     """One Runge-Kutta step of `relative_acceleration`, of fourth order.
 
-    orbit: starts with the (4,) of `relnav_graph.maths.orbit.orbit_array`; t: start, s; h: length,
+    orbit: starts with the (5,) of `relnav_graph.maths.orbit.orbit_array`; t: start, s; h: length,
     s; x: (6,): r_tc_o (m), r_tc_o' (m/s). Returns x after the step, (6,), and its Jacobian (6, 6)
     to x, which is exact for the step as computed.
     """
@@ -93,16 +93,16 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
 def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """Exact difference of two two-body motions, see `relative_acceleration`, plus white noise.
 
-    p (6,): orbit (4,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s. x,
+    p (7,): orbit (5,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s. x,
     x_next (6,): r_tc_o (m), r_tc_o' in o (m/s). F, Q (6, 6), SI.
     """
     length = duration(u)
-    steps = step_count(length, p[5])
+    steps = step_count(length, p[6])
     h = length / steps
     state, total, noise = x, dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
         state, step = exact_step(p, t + n * h, h, state)
-        add_step(step, p[4] ** 2, h, total, noise)
+        add_step(step, p[5] ** 2, h, total, noise)
     dense.put_vector(x_next, 0, state)
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
@@ -118,12 +118,12 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     `relnav_graph.maths.orbit.relative_transition`.
     """
     length = duration(u)
-    steps = step_count(length, p[5])
+    steps = step_count(length, p[6])
     h = length / steps
     total, noise = dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
         step = relative_transition(p, t + n * h, t + (n + 1) * h)
-        add_step(step, p[4] ** 2, h, total, noise)
+        add_step(step, p[5] ** 2, h, total, noise)
     dense.put_vector(x_next, 0, dense.matvec(total, x))
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)

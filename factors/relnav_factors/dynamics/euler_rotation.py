@@ -46,7 +46,7 @@ def _rotate(
     A: (3, 6), dA: (dim k, 3, 6), see `principal_coefficients`; the rest: see `principal_kernel`.
     """
     length = duration(u)
-    steps = step_count(length, p[6])
+    steps = step_count(length, p[7])
     h = length / steps
     n = x.shape[0] - 6  # of the tangent
     R_ot, w, k = dense.matrix_at(x, 0), dense.vector_at(x, 9), x[12:]
@@ -54,7 +54,7 @@ def _rotate(
     angle = np.empty(3)
     for _ in range(steps):
         before = start_of(w, n - 3)
-        if p[7] != 0.0:
+        if p[8] != 0.0:
             after, turn = published_step(before, A, dA, h)
         else:
             after, turn = rate_step(before, A, dA, h)
@@ -70,9 +70,9 @@ def _rotate(
                 step[i, j] = 0.0
                 for l in range(3):
                     step[i, j] += bend[i, l] * turn[l, j - 2]
-        add_step(step, p[4] ** 2, h, total, noise)
+        add_step(step, p[5] ** 2, h, total, noise)
         for i in range(6, n):
-            noise[i, i] += p[5] ** 2 * h
+            noise[i, i] += p[6] ** 2 * h
     R_next = dense.matmul(frame_rotation(p, t, t + length), R_ot)
     dense.put_matrix(x_next, 0, so3.project(R_next))
     dense.put_vector(x_next, 9, w)
@@ -87,7 +87,7 @@ def principal_kernel(
 ) -> int:
     """``w_x' = l_x w_y w_z`` and cyclic, ``l = tanh(k_x, k_y, -k_x - k_y)``: t are principal axes.
 
-    p (8,): orbit (4,), torque density (rad/s^1.5), density of k (1/sqrt(s)), longest step (s), 1
+    p (9,): orbit (5,), torque density (rad/s^1.5), density of k (1/sqrt(s)), longest step (s), 1
     for Euler's integrator, else 0. u (rows, 1): dt, s. x, x_next (14,): R_ot row by row, w_ti_t
     (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1.
     """
@@ -111,10 +111,10 @@ def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array,
 def known_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """``J w' = -w x J w`` of a known J: as `principal_kernel`, without k.
 
-    p (26,): ends with A (3, 6) row by row, of `coefficients_of`. x, x_next (12,): R_ot, w_ti_t
+    p (27,): ends with A (3, 6) row by row, of `coefficients_of`. x, x_next (12,): R_ot, w_ti_t
     (rad/s). F, Q (6, 6).
     """
-    _rotate(p, t, u, x, p[8:26].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
+    _rotate(p, t, u, x, p[9:27].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
     return 0
 
 

@@ -25,12 +25,12 @@ from relnav_graph.units import Quantity
 def gradient_torque(p: Array, t: float, R_it: Array) -> tuple[Array, Array]:
     """``3 mu / r^3 u x J u``, u the unit vector from the Earth's centre (Hughes 1986, section 8.1).
 
-    p (57,): orbit (4,), R_ip (9): its perifocal axes, J (9), kg m^2, J^-1 (9), then the (26,) of
+    p (59,): orbit (5,), R_ip (9): its perifocal axes, J (9), kg m^2, J^-1 (9), then the (27,) of
     `EulerRotation`; t: s; R_it: (3, 3). Returns the torque (3,) in t, N m, and its Jacobian (3, 3),
     N m/rad, to a right perturbation ``R_it Exp(d)``.
     """
-    motion, J = chief_motion(p, t), dense.matrix_at(p, 13)
-    R_ip, u_i = dense.matrix_at(p, 4), np.empty(3)
+    motion, J = chief_motion(p, t), dense.matrix_at(p, 14)
+    R_ip, u_i = dense.matrix_at(p, 5), np.empty(3)
     for i in range(3):
         u_i[i] = np.cos(motion[2]) * R_ip[i, 0] + np.sin(motion[2]) * R_ip[i, 1]
     u = dense.transposed_matvec(R_it, u_i)
@@ -54,7 +54,7 @@ def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> 
     place.
     """
     torque, slope = gradient_torque(p, t, R_it)
-    inverse = dense.matrix_at(p, 22)
+    inverse = dense.matrix_at(p, 23)
     slope = dense.matmul(inverse, slope)
     for j in range(total.shape[1]):
         for i in range(3):
@@ -67,16 +67,16 @@ def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> 
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """``J w' = -w x J w + 3 mu / r^3 u x J u`` by splitting (Strang 1968), of second order.
 
-    p (57,): as of `gradient_torque`; the longest step is p[37], s. u (rows, 1): dt, s. x, x_next
+    p (59,): as of `gradient_torque`; the longest step is p[39], s. u (rows, 1): dt, s. x, x_next
     (12,): R_it row by row, w_ti_t (rad/s). F, Q (6, 6), in rad and rad/s.
 
     In each step the torque acts at both ends, for half the step each time, with a free rotation
     between: exact but for how the torque changes within a step.
     """
     length = duration(u)
-    steps = step_count(length, p[37])
+    steps = step_count(length, p[39])
     h = length / steps
-    free, one, y = p[31:], np.array([[h]]), x.copy()
+    free, one, y = p[32:], np.array([[h]]), x.copy()
     total, noise = dense.identity(6), np.zeros((6, 6))
     step_F, step_Q, after = np.empty((6, 6)), np.empty((6, 6)), np.empty(12)
     for n in range(steps):
@@ -111,8 +111,8 @@ class GravityGradientRotation(DynamicsModel):
 
     torque_density: rad/s^1.5, of the angular acceleration per axis, for torques that are not
     known (drag); known_inertia: J about the axes of t, kg m^2. semi_major_axis (m),
-    eccentricity, true_anomaly, inclination, raan, argument_of_perigee (rad): orbit, at t = 0;
-    mu: m^3/s^2; max_step: s, the longest step.
+    eccentricity, true_anomaly, inclination, raan, argument_of_perigee (rad): orbit, of which the
+    anomaly holds at the epoch, s; mu: m^3/s^2; max_step: s, the longest step.
 
     Raises InputError on an inertia that no body has, or an orbit that does not exist.
     """
@@ -130,11 +130,18 @@ class GravityGradientRotation(DynamicsModel):
     raan: Annotated[float, Quantity("rad")] = 0.0
     argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
     mu: Annotated[float, Quantity("m^3/s^2", positive=True)] = MU_EARTH
+    epoch: Annotated[float, Quantity("s")] = 0.0
     max_step: Annotated[float, Quantity("s", positive=True)] = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "_numbers", self._constants())
+
+    @property
+    def orbit(self) -> KeplerOrbit:
+        """The orbit in its plane. Raises InputError when there is none such."""
+        elements = self.semi_major_axis, self.eccentricity, self.true_anomaly
+        return KeplerOrbit(*elements, self.mu, self.epoch)
 
     @property
     def free(self) -> EulerRotation:
@@ -158,13 +165,12 @@ class GravityGradientRotation(DynamicsModel):
         return self._numbers  # type: ignore[attr-defined,no-any-return]
 
     def _constants(self) -> Array:
-        orbit = KeplerOrbit(self.semi_major_axis, self.eccentricity, self.true_anomaly, self.mu)
         z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
         R_ip = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
         R_ip = R_ip @ so3.exp(self.argument_of_perigee * z)
         J = self.known_inertia
         rest = [R_ip.ravel(), J.ravel(), np.linalg.inv(J).ravel(), self.free.constants()]
-        return np.concatenate([orbit.array(), *rest])
+        return np.concatenate([self.orbit.array(), *rest])
 
     def torque(self, t: float, R_it: Array) -> Array:
         """The known torque (3,) at time t, s, in t, N m."""

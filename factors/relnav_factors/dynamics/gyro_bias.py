@@ -25,7 +25,7 @@ from relnav_graph.units import Quantity
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """``R_next = R_o1o0 R_oc Exp((gyro - b) dt) ...``, a factor per row; ``b' = -b / T + white``.
 
-    p (11,): orbit (4,), density of the angle's random walk (3,), rad/sqrt(s), of the bias's (3,),
+    p (12,): orbit (5,), density of the angle's random walk (3,), rad/sqrt(s), of the bias's (3,),
     rad/s^1.5, T (s; inf: the bias is a random walk). u (rows, 4): dt (s), mean of the gyro
     (rad/s, in c). x, x_next (12,): R_oc (or R_tc) row by row, b (rad/s, in c). F, Q (6, 6), in rad
     and rad/s.
@@ -38,7 +38,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     turn = np.empty(3)
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        kept, counts, own, of_integral = walk_and_integral(dt, p[10])
+        kept, counts, own, of_integral = walk_and_integral(dt, p[11])
         joint = counts * counts / 2
         for i in range(3):
             turn[i] = u[row, 1 + i] * dt - b[i] * counts
@@ -52,7 +52,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         dense.put_block(step, 0, 3, so3.right_jacobian(turn), -counts)
         carry(step, total, noise)
         for i in range(3):
-            v, w = p[4 + i], p[7 + i]
+            v, w = p[5 + i], p[8 + i]
             noise[i, i] += v * v * dt + w * w * of_integral
             noise[i, 3 + i] -= w * w * joint
             noise[3 + i, i] -= w * w * joint

@@ -70,7 +70,8 @@ class AttitudeTracking:
     is k J_c here). The target's angular acceleration follows from its estimated attitude and
     rate by Euler's equations, so that the noise of an observer's innovations is left out.
 
-    start: s; semi_major_axis (m), inclination, raan, argument_of_latitude (rad): the orbit;
+    start: s; semi_major_axis (m), inclination, raan, argument_of_latitude (rad, at the epoch, s):
+    the orbit;
     attitude_gain lambda, rate_gain k: 1/s; target_inertia, chaser_inertia: kg m^2. The
     chaser's own attitude and rate are known exactly, as from a star tracker and calibrated
     gyros.
@@ -92,6 +93,7 @@ class AttitudeTracking:
     inclination: Annotated[float, Quantity("rad")] = 0.0
     raan: Annotated[float, Quantity("rad")] = 0.0
     argument_of_latitude: Annotated[float, Quantity("rad")] = 0.0
+    epoch: Annotated[float, Quantity("s")] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -101,7 +103,7 @@ class AttitudeTracking:
     @cached_property
     def _orbit(self) -> Array:
         elements = self.semi_major_axis, self.inclination, self.raan, self.argument_of_latitude
-        return circular_orbit(*elements, 0.0)
+        return circular_orbit(*elements, self.epoch, 0.0)
 
     @cached_property
     def _gains_and_inertias(self) -> tuple[Array, Array]:

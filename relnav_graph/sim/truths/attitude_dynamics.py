@@ -26,16 +26,18 @@ BODY = 24
 
 
 def circular_orbit(
-    radius: float, inclination: float, raan: float, latitude: float, drag: float
+    radius: float, inclination: float, raan: float, latitude: float, epoch: float, drag: float
 ) -> Array:
-    """The numbers of a circular orbit, (9,); latitude: its argument at t = 0, rad; drag:
+    """The numbers of a circular orbit, (9,); latitude: its argument at the epoch, s, rad; drag:
     density of the air times drag coefficient, kg/m^3."""
+    rate = np.sqrt(MU_EARTH / radius**3)
+    latitude -= np.remainder(rate * epoch, 2 * np.pi)
     c, s = np.cos(raan), np.sin(raan)
     node, up = np.array([c, s, 0.0]), np.cos(inclination) * np.array([-s, c, 0.0])
     up[2] = np.sin(inclination)
     radial = np.cos(latitude) * node + np.sin(latitude) * up
     ahead = np.cos(latitude) * up - np.sin(latitude) * node
-    return np.array([radius, np.sqrt(MU_EARTH / radius**3), *radial, *ahead, drag])
+    return np.array([radius, rate, *radial, *ahead, drag])
 
 
 @jit

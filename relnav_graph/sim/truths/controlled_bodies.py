@@ -29,9 +29,10 @@ class ControlledBodies:
     """Rigid target and chaser on one circular orbit; commands are torques on the chaser.
 
     o does not rotate (it is i). Gravity gradient and drag turn both bodies; how far they are
-    from each other does not matter. All holds at the first epoch, but the orbit at t = 0.
+    from each other does not matter. All holds at the start, but the argument of latitude at the
+    epoch.
 
-    semi_major_axis (m), inclination, raan, argument_of_latitude (rad): the orbit.
+    semi_major_axis (m), inclination, raan, argument_of_latitude (rad), epoch (s): the orbit.
     target_inertia, chaser_inertia: kg m^2, about the axes of t and c. target_attitude,
     chaser_attitude: R_it and R_ic as rotation vectors, rad; random_attitude: the target's is
     drawn, uniform over all. target_rate, chaser_rate: w_ti_t and w_ci_c, rad/s;
@@ -52,6 +53,7 @@ class ControlledBodies:
     inclination: Annotated[float, Quantity("rad")] = 0.0
     raan: Annotated[float, Quantity("rad")] = 0.0
     argument_of_latitude: Annotated[float, Quantity("rad")] = 0.0
+    epoch: Annotated[float, Quantity("s")] = 0.0
     target_attitude: Annotated[Array, Quantity("rad", (3,))] = field(default_factory=_zeros)
     random_attitude: bool = False
     target_rate: Annotated[Array, Quantity("rad/s", (3,))] = field(default_factory=_zeros)
@@ -125,6 +127,7 @@ class BodiesFlight:
         self.t, self._y, self._max_step = t, y, truth.max_step
         self._orbit = circular_orbit(
             *(truth.semi_major_axis, truth.inclination, truth.raan, truth.argument_of_latitude),
+            truth.epoch,
             truth.atmosphere * truth.drag_coefficient,
         )
         self._bodies = np.array(

@@ -37,7 +37,8 @@ def nadir_attitude(r: Array, v: Array) -> Array:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PoweredOrbits(OrbitElements):
     """Chaser and target under gravity with J2, J3, J4, each with an acceleration of its own
-    that wanders (Gauss-Markov); the chaser has a thruster. All holds at the first epoch.
+    that wanders (Gauss-Markov); the chaser has a thruster. All holds at the start of the pass, but
+    the true anomaly at the epoch.
 
     semi_major_axis to argument_of_perigee (see
     `relnav_graph.sim.truths.rigid_body_pair.OrbitElements`): orbit of the target.
@@ -74,7 +75,7 @@ class PoweredOrbits(OrbitElements):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        self.craft()  # it refuses what is no ellipse
+        self.craft(0.0)  # it refuses what is no ellipse
 
     @property
     def source(self) -> str:
@@ -85,9 +86,9 @@ class PoweredOrbits(OrbitElements):
             " other harmonics, third bodies, propellant used, thruster errors, attitude control"
         )
 
-    def craft(self) -> Array:
-        """(12,): position and velocity of the target, then of the chaser."""
-        y = self.initial_orbits(self.relative_position, self.relative_velocity)
+    def craft(self, t: float) -> Array:
+        """(12,): position and velocity of the target at the start t, s, then of the chaser."""
+        y = self.initial_orbits(self.relative_position, self.relative_velocity, t)
         y[6:] += y[:6]
         return y
 
@@ -115,7 +116,7 @@ class PoweredFlight:
 
     def __init__(self, truth: PoweredOrbits, t: float, rng: np.random.Generator) -> None:
         self.t, self._truth, self._rng = t, truth, rng
-        self._y = truth.craft()
+        self._y = truth.craft(t)
         self._wandering = truth.acceleration_sigma * rng.standard_normal(6)
         self._clock = np.array([truth.clock_bias, truth.clock_drift])
         self._earth_bias = np.full(2, truth.earth_sensor_bias)

@@ -29,10 +29,10 @@ def _zeros() -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OrbitElements:
-    """Orbital elements, at the start, of the craft that the other one's position is given from.
+    """Orbital elements of the craft that the other one's position is given from.
 
     semi_major_axis (m), eccentricity (0 <= e < 1), true_anomaly, inclination, raan,
-    argument_of_perigee (rad).
+    argument_of_perigee (rad); epoch: s, the time at which the true anomaly holds.
     """
 
     semi_major_axis: Annotated[float, Quantity("m", positive=True)]
@@ -41,24 +41,45 @@ class OrbitElements:
     inclination: Annotated[float, Quantity("rad")] = 0.0
     raan: Annotated[float, Quantity("rad")] = 0.0
     argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
+    epoch: Annotated[float, Quantity("s")] = 0.0
 
-    def initial_R_io(self) -> Array:
-        """R_io (3, 3) at the start: from RTN axes of the orbit to inertial ones."""
+    def _anomaly(self, t: float, mu: float) -> float:
+        """The true anomaly at time t, s, rad: Kepler's equation by halving, from its bounds."""
+        if t == self.epoch:
+            return self.true_anomaly
+        e = self.eccentricity
+        lag = np.arctan2(
+            np.sqrt(1 - e * e) * np.sin(self.true_anomaly), e + np.cos(self.true_anomaly)
+        )
+        mean = lag - e * np.sin(lag)
+        mean += np.remainder((t - self.epoch) * np.sqrt(mu / self.semi_major_axis**3), 2 * np.pi)
+        low, high = mean - e, mean + e
+        while low < (middle := 0.5 * (low + high)) < high:
+            low, high = (middle, high) if middle - e * np.sin(middle) < mean else (low, middle)
+        return float(
+            2 * np.arctan2(*(np.sqrt(1 + e) * np.sin(high / 2), np.sqrt(1 - e) * np.cos(high / 2)))
+        )
+
+    def initial_R_io(self, t: float = 0.0, mu: float = MU_EARTH) -> Array:
+        """R_io (3, 3) at the start t, s: from RTN axes of the orbit to inertial ones."""
         z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-        latitude = self.argument_of_perigee + self.true_anomaly
+        latitude = self.argument_of_perigee + self._anomaly(t, mu)
         plane = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
         return np.asarray(plane @ so3.exp(latitude * z))
 
-    def initial_orbits(self, position: Array, velocity: Array, mu: float = MU_EARTH) -> Array:
-        """(12,): position and velocity of the craft in i at the start, then those of the
+    def initial_orbits(
+        self, position: Array, velocity: Array, t: float = 0.0, mu: float = MU_EARTH
+    ) -> Array:
+        """(12,): position and velocity of the craft in i at the start t, s, then those of the
         other relative to it.
 
         position: of the other from the craft, m, and velocity, m/s, its derivative there, in
         RTN axes of the orbit. Raises InputError on an orbit that is not an ellipse.
         """
-        e, nu = self.eccentricity, self.true_anomaly
+        e = self.eccentricity
         if e >= 1:
             raise InputError(f"{type(self).__name__}.eccentricity: found {e}, expected below 1")
+        nu = self._anomaly(t, mu)
         parameter = self.semi_major_axis * (1 - e * e)
         radius = parameter / (1 + e * np.cos(nu))
         momentum = np.sqrt(mu * parameter)
@@ -66,7 +87,7 @@ class OrbitElements:
         w_oi_o = np.array([0.0, 0.0, momentum / radius**2])
         # Derivative taken in i, components in o.
         d_dot_o = velocity + np.cross(w_oi_o, position)
-        R_io = self.initial_R_io()
+        R_io = self.initial_R_io(t, mu)
         return np.concatenate([radius * R_io[:, 0], R_io @ v_o, R_io @ position, R_io @ d_dot_o])
 
 
@@ -74,7 +95,8 @@ class OrbitElements:
 class RigidBodyPair(OrbitElements):
     """Two craft on two-body orbits; the target a free rigid body, the chaser turning steadily.
 
-    All that follows holds at t = 0. Frame o is RTN of the target's orbit.
+    All that follows holds at t = 0, but the true anomaly at the epoch. Frame o is RTN of the
+    target's orbit.
 
     semi_major_axis to argument_of_perigee (see `OrbitElements`), mu (m^3/s^2): orbit of the
     target. relative_position: r_tc_o, m; relative_velocity: its derivative in o, m/s.
@@ -153,11 +175,11 @@ class RigidBodyPair(OrbitElements):
         return np.tile(self.chaser_rate, (len(backwards), 1))
 
     def _orbits(self) -> Array:
-        return self.initial_orbits(self.relative_position, self.relative_velocity, self.mu)
+        return self.initial_orbits(self.relative_position, self.relative_velocity, mu=self.mu)
 
     def _initial_state(self) -> Array:
         """The state y (19,) at t = 0; see `relnav_graph.sim.truths.integrate`."""
-        R_it = self.initial_R_io() @ so3.exp(self.target_attitude.copy())
+        R_it = self.initial_R_io(mu=self.mu) @ so3.exp(self.target_attitude.copy())
         return np.concatenate([self._orbits(), so3.quaternion(R_it), self.target_rate])
 
     def _values(self, t: Array, y: Array) -> dict[str, Array]:
@@ -172,7 +194,7 @@ class RigidBodyPair(OrbitElements):
         w_oi_o = np.zeros_like(r_tc_o)
         w_oi_o[:, 2] = momentum / (r_i**2).sum(axis=1)
         R_it = dense.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
-        R_ic0 = self.initial_R_io() @ so3.exp(self.chaser_attitude.copy())
+        R_ic0 = self.initial_R_io(mu=self.mu) @ so3.exp(self.chaser_attitude.copy())
         R_ic = R_ic0 @ dense.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
         jx, jy, jz = self.target_inertia
         inertia_parameters = np.arctanh([(jy - jz) / jx, (jz - jx) / jy])
