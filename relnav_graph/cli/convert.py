@@ -46,5 +46,6 @@ def command(
     blocks = {b.name: b for b in run.scenario.layout}
     tables: Format = "parquet" if parquet else "csv"
     s = run.scenario
-    write_dataset(target, s.raw, run.recording, s.sensors, s.input_columns, blocks, tables)
+    stamped = run.recording.shifted(s.file.time.origin)
+    write_dataset(target, s.raw, stamped, s.sensors, s.input_columns, blocks, tables)
     show_progress(f"{target}: {len(run.recording.times)} epochs")

@@ -41,13 +41,14 @@ def command(
     loaded = load_scenario(scenario, assignments)
     seed = loaded.file.seed if seed is None else seed
     recording = loaded.simulate(seed, number)
+    stamped = recording.shifted(loaded.file.time.origin)
     if str(out) == "-":
         prior = loaded.problem(recording, seed, number).prior
-        for line in recording_lines(recording, loaded.name, seed, loaded.layout, prior):
+        for line in recording_lines(stamped, loaded.name, seed, loaded.layout, prior):
             click.echo(line)
         return
     blocks = {b.name: b for b in loaded.layout}
     raw = {**loaded.raw, "seed": seed}
     tables: Format = "parquet" if parquet else "csv"
-    write_dataset(out, raw, recording, loaded.sensors, loaded.input_columns, blocks, tables)
+    write_dataset(out, raw, stamped, loaded.sensors, loaded.input_columns, blocks, tables)
     show_progress(f"{out}: {len(recording.times)} epochs, seed {seed}")

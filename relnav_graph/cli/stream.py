@@ -77,8 +77,8 @@ def command(
     """
     show_events()
     check_before_work((kind,), None)
-    raw = load_scenario(scenario, assignments).raw  # before anything waits: its errors
-    digest = hashlib.sha256(json.dumps(raw, sort_keys=True, default=str).encode())
+    loaded = load_scenario(scenario, assignments)  # before anything waits: its errors
+    digest = hashlib.sha256(json.dumps(loaded.raw, sort_keys=True, default=str).encode())
     identity = {"scenario": scenario.stem, "sha256": digest.hexdigest(), "estimator": kind}
     options = Options(max_gap, patience, predict_to_now)
     interrupts = Interrupts()
@@ -87,7 +87,7 @@ def command(
             journal = None if folder is None else stack.enter_context(Journal(folder, policy))
             source = open_source(where, settle, follow, ends, interrupts)
             incoming = source.lines()
-            header, first = _opening(journal, incoming)
+            header, first = _opening(journal, incoming, loaded.file.time.origin)
             session = new_session(
                 load_scenario(scenario, assignments, header.settings), kind, header, options
             )
@@ -108,7 +108,9 @@ def command(
     return _verdict(session, recorder, allow_rejects)
 
 
-def _opening(journal: Journal | None, lines: Iterator[bytes | None]) -> tuple[Header, list[bytes]]:
+def _opening(
+    journal: Journal | None, lines: Iterator[bytes | None], origin: float
+) -> tuple[Header, list[bytes]]:
     """The header of the stream, and the first line where it had to be read for that."""
     if journal is not None and journal.snapshot:
         if journal.cut:
@@ -117,7 +119,7 @@ def _opening(journal: Journal | None, lines: Iterator[bytes | None]) -> tuple[He
             )
         return journaled_header(journal), []
     first = next((line for line in lines if line is not None), None)
-    return (Header(), []) if first is None else (header_of(first), [first])
+    return (Header(), []) if first is None else (header_of(first, origin), [first])
 
 
 def _lines(
@@ -135,7 +137,8 @@ def new_session(scenario: Scenario, kind: str, header: Header, options: Options)
     means = prior_values(header, scenario.layout)
     problem = scenario.problem_at(scenario.prior_with(means, header.t or 0.0))
     measured = [name for name in scenario.measured if name not in means]
-    return Session(problem, online(kind, problem), header, options, measured)
+    origin = scenario.file.time.origin
+    return Session(problem, online(kind, problem), header, options, measured, origin)
 
 
 def _verdict(session: Session, recorder: Recorder, allow_rejects: bool) -> int:
@@ -143,6 +146,8 @@ def _verdict(session: Session, recorder: Recorder, allow_rejects: bool) -> int:
     show_progress(f"{session.lines} lines in, {session.seq} out; at last {session.status}")
     if recorder.skipped:
         show_progress(f"{recorder.skipped} lines came again and were skipped")
+    for caution in session.cautions:
+        show_progress(f"caution: {caution}")
     for sensor, counts in session.rejected.items():
         show_progress(
             f"{sensor}: not used: " + ", ".join(f"{n} {why}" for why, n in counts.items())

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
 
 from relnav_graph.cli.shared import show_events
+from relnav_graph.core.cautions import Caution
 from relnav_graph.runs.passes import open_dataset
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
@@ -35,12 +37,15 @@ def command(file: Path | None, assignments: tuple[str, ...], schema: bool) -> No
         for name, count in counted.items():
             click.echo(f"{name}: {count} observations")
         click.echo(f"epochs: {len(run.recording.times)}")
-        _describe(file, run.scenario)
+        _describe(file, run.scenario, run.problem.cautions)
     else:
-        _describe(file, load_scenario(file, assignments))
+        scenario = load_scenario(file, assignments)
+        _describe(file, scenario, scenario.cautions)
 
 
-def _describe(file: Path, scenario: Scenario) -> None:
+def _describe(file: Path, scenario: Scenario, cautions: Iterable[Caution]) -> None:
     blocks = ", ".join(f"{b.name} [{b.symbol}]" for b in scenario.layout)
     click.echo(f"state: {blocks} ({scenario.layout.dim} error states)")
+    for caution in cautions:
+        click.echo(f"caution: {caution}")
     click.echo(f"{file}: valid")

@@ -14,10 +14,12 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
+from relnav_graph.maths.orbit import KeplerOrbit
 
 __all__ = [
     "Derived",
     "Dynamics",
+    "KnowsOrbit",
     "KnowsTorque",
     "NamesDirections",
     "ProposesStarts",
@@ -187,6 +189,14 @@ class NamesDirections(Protocol):
 
         x: one value per block, (3, 3) or (dim,), SI, in the block's frame.
         """
+
+
+@runtime_checkable
+class KnowsOrbit(Protocol):
+    """A model that takes the orbit of the target as known; None where its o does not rotate."""
+
+    @property
+    def orbit(self) -> KeplerOrbit | None: ...
 
 
 @runtime_checkable

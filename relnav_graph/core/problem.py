@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution, orbit_cautions
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import Epoch, check_epoch
 from relnav_graph.core.state import Layout
@@ -111,6 +112,13 @@ class Problem:
     def times(self) -> Array:
         """Times of the epochs (N,), s."""
         return np.array([e.t for e in self.epochs])
+
+    @property
+    def cautions(self) -> tuple[Caution, ...]:
+        """What is doubtful about the pass, whoever estimates it; nothing before its epochs."""
+        if not self.epochs:
+            return ()
+        return orbit_cautions([*self.processes.values(), *self.sensors.values()], self.epochs[0].t)
 
 
 def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> Layout:

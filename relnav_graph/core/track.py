@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block, Layout
 
@@ -63,7 +64,8 @@ class Track:
     a robust loss lets count for less; step_s: time of each
     online step, s; smoothed: for an online estimator, the track that it ends with;
     innovations: of a filter, by sensor; truth: of the pass, where the estimator flew one of
-    its own; controlled: the errors of control there, whose aim is zero.
+    its own; controlled: the errors of control there, whose aim is zero; cautions: what leaves
+    the status as it is, and must be known all the same.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Track:
     innovations: Mapping[str, Innovations] = field(default_factory=dict)
     truth: Truth | None = None
     controlled: tuple[Block, ...] = ()
+    cautions: tuple[Caution, ...] = ()
 
     def value(self, name: str) -> Array:
         """Values of one block, (N, 3, 3) for an attitude, (N, dim) otherwise."""
@@ -131,3 +134,22 @@ class Recording:
     inputs: Mapping[str, InputSeries] = field(default_factory=dict)
     truth: Truth | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def shifted(self, by: float) -> Recording:
+        """The same with `by`, s, added to every time."""
+        if not by:
+            return self
+
+        def later(m: Measurement) -> Measurement:
+            arrival = None if m.t_arrival is None else m.t_arrival + by
+            return replace(m, t=m.t + by, t_arrival=arrival)
+
+        inputs = {
+            name: replace(s, t_start=s.t_start + by, t_end=s.t_end + by)
+            for name, s in self.inputs.items()
+        }
+        truth = self.truth and replace(self.truth, t=self.truth.t + by)
+        measurements = tuple(later(m) for m in self.measurements)
+        return replace(
+            self, times=self.times + by, measurements=measurements, inputs=inputs, truth=truth
+        )

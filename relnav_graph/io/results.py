@@ -19,6 +19,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
@@ -26,7 +27,7 @@ from relnav_graph.io.atomic import atomic
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
 from relnav_graph.io.tabular import component_columns, from_components, to_components, write_table
 
-__all__ = ["read_results", "write_csv", "write_results"]
+__all__ = ["cautions_in", "cautions_out", "read_results", "write_csv", "write_results"]
 
 
 _FORMAT = "relnav-graph results"
@@ -59,6 +60,16 @@ def _block_of(name: str, variable: Variable) -> Block:
     manifold: Any = a["manifold"]
     dim, unit, table_unit = int(a["tangent_dim"]), str(a["tangent_units"]), str(a["table_units"])
     return Block(name, manifold=manifold, dim=dim, unit=unit, table_unit=table_unit, **texts)
+
+
+def cautions_out(cautions: Iterable[Caution]) -> str:
+    """Cautions as an attribute."""
+    return json.dumps([vars(c) for c in cautions])
+
+
+def cautions_in(text: str) -> tuple[Caution, ...]:
+    """The cautions that `cautions_out` made an attribute of."""
+    return tuple(Caution(**c) for c in json.loads(text))
 
 
 def _tangent_columns(block: Block) -> tuple[str, ...]:
@@ -95,6 +106,7 @@ def _track_group(track: Track, smoothed: str, truth: str) -> Group:
         "smoothed": smoothed,
         "truth": truth,
         "controlled": " ".join(b.name for b in track.controlled),
+        "cautions": cautions_out(track.cautions),
     }
     return Group(attributes, variables)
 
@@ -176,6 +188,7 @@ def _track(groups: Mapping[str, Group], name: str) -> Track:
         smoothed=_track(groups, str(a["smoothed"])) if a["smoothed"] else None,
         truth=_truth(truth) if truth is not None else None,
         controlled=tuple(_block_of(n, truth.variables[n]) for n in controlled if truth is not None),
+        cautions=cautions_in(str(a.get("cautions", "[]"))),
     )
 
 

@@ -97,6 +97,15 @@ def overview(summary: Mapping[str, Any]) -> Table:
     return Table(head, rows, 3)
 
 
+def cautions(summary: Mapping[str, Any]) -> Table | None:
+    """A row per caution, None without any."""
+    rows = [
+        _cells([c["estimator"] or "the pass", Cell(c["name"], "bad"), c["text"]])
+        for c in summary.get("cautions", ())
+    ]
+    return Table(["of", "caution", "what was found"], rows, 3) if rows else None
+
+
 def _result(
     name: str, state: Mapping[str, Any], study: bool, judged: Mapping[str, Any] | None
 ) -> list[Cell]:

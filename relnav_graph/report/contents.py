@@ -14,7 +14,7 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.manifest import PASS_FILE, PassManifest
-from relnav_graph.io.results import read_results
+from relnav_graph.io.results import cautions_in, read_results
 from relnav_graph.runs.comparison import compare_pass
 from relnav_graph.runs.passes import simulated_pass
 from relnav_graph.scenario.build import make_scenario
@@ -155,7 +155,7 @@ def _read_study(path: Path) -> StudyContents:
 
 def _read_pass(path: Path) -> PassContents:
     manifest = PassManifest.read(path)
-    tracks, truth, _ = read_results(path / "results.nc")
+    tracks, truth, attributes = read_results(path / "results.nc")
     scenario = make_scenario(manifest.raw, manifest.name)
     if not tracks:
         raise InputError(f"{path / 'results.nc'}: holds no track")
@@ -167,6 +167,7 @@ def _read_pass(path: Path) -> PassContents:
         derived_quantities(scenario.layout),
         scenario.window(tracks[0].t),
         len(tracks[0].t),
+        cautions_in(attributes.get("cautions", "[]")),
     )
     return PassContents(scenario, found, tracks, truth, manifest.command, manifest.versions)
 

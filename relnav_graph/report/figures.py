@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import matplotlib as mpl
@@ -71,10 +72,9 @@ class RunFigures:
     @cached_property
     def t(self) -> Array:
         """Mean time of each bin of the series, (bins,), s."""
-        time = self.study.scenario.file.time
-        assert time is not None
-        edges = bin_edges(time.epochs)
-        return np.array(time.step * (edges[:-1] + edges[1:] - 1) / 2)
+        times = self.study.scenario.times
+        edges = bin_edges(len(times))
+        return np.array([0.5 * (times[a] + times[b - 1]) for a, b in pairwise(edges)])
 
     def _by_kind(self, names: Sequence[str]) -> list[tuple[Kind, list[str]]]:
         rows = self._found.rows

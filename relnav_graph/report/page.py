@@ -238,6 +238,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "prior": setting.prior(scenario),
         "toml": setting.toml(scenario),
         "overview": cells.overview(summary),
+        "cautions": cells.cautions(summary),
         "results": cells.results(summary),
         "command": content.command,
         "versions": content.versions,

@@ -100,6 +100,7 @@ def compare_pass(
         derived_quantities(run.scenario.layout),
         run.scenario.window(times),
         len(times),
+        each[0][0].problem.cautions,
     )
     problems, truths = tuple(o.problem for o, _ in each), tuple(o.truth for o, _ in each)
     return Comparison(tracks, problems, truths, found)

@@ -9,7 +9,7 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.manifest import PassManifest
-from relnav_graph.io.results import write_results
+from relnav_graph.io.results import cautions_out, write_results
 from relnav_graph.runs.comparison import Comparison
 from relnav_graph.runs.passes import Pass
 
@@ -28,7 +28,12 @@ def write_outputs(out: Path, run: Pass, found: Comparison, command: str = "") ->
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"-o {out}: {error.strerror}") from error
-    attributes = {"scenario": run.scenario.name, "title": run.scenario.file.title}
+    attributes = {
+        "scenario": run.scenario.name,
+        "title": run.scenario.file.title,
+        "time_origin": f"{run.scenario.file.time.origin!r} s",
+        "cautions": cautions_out(found.problems[0].cautions),
+    }
     write_results(out / "results.nc", found.tracks, run.recording.truth, attributes)
     with atomic(out / "summary.json") as staged:
         staged.write_text(json.dumps(found.summary, indent=2, allow_nan=False) + "\n", "utf-8")

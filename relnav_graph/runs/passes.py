@@ -81,8 +81,9 @@ def open_pass(
     """A scenario with simulated data, a recording, a data set, or a raw folder that its reader
     knows.
 
-    scenario: one that is loaded, or its file; seed: by default the scenario's; assignments:
-    "key=value", settings to change; run: number of the draw; loops: see `simulated_pass`.
+    scenario: one that is loaded, or its file; seed: by default the scenario's; data: a folder, or
+    a recording, whose times are of the pass's clock; assignments: "key=value", settings to change;
+    run: number of the draw; loops: see `simulated_pass`.
 
     Raises InputError on whatever is wrong with any of them.
     """
@@ -102,6 +103,7 @@ def open_pass(
     if data is None:
         drawn = made(None)
         return simulated_pass(drawn, root_of(drawn), run, loops)
+    read = not isinstance(data, Recording)
     if isinstance(data, Recording):
         recording = data
     else:
@@ -112,6 +114,7 @@ def open_pass(
             return Pass(own, _recorded(own, folder), root_of(own), False, run)
         recording = _read_folder(where, raw, folder)
     own = made(recording.settings)
+    recording = recording.shifted(-own.file.time.origin if read else 0.0)
     return Pass(own, own.completed(recording, root_of(own), run), root_of(own), False, run)
 
 
@@ -128,7 +131,8 @@ def _read_folder(where: str, raw: Mapping[str, Any], folder: Path) -> Recording:
 def _recorded(scenario: Scenario, folder: Path) -> Recording:
     """The recording in a data set; a sensor's table is read by the scenario's model."""
     blocks = {b.name: b for b in scenario.layout}
-    return read_dataset(folder, scenario.sensors, scenario.input_columns, blocks)
+    found = read_dataset(folder, scenario.sensors, scenario.input_columns, blocks)
+    return found.shifted(-scenario.file.time.origin)
 
 
 def _need_folder(folder: Path) -> None:

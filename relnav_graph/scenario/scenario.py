@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution, orbit_cautions
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.problem import Prior, Problem
@@ -91,24 +92,34 @@ class Scenario:
 
     @property
     def times(self) -> Array:
-        """Epochs (N,) of a simulated pass, s. Raises InputError without [time]."""
-        if self.file.time is None:
-            raise InputError(f"{self.name}: no [time] to simulate at")
-        return self.file.time.step * np.arange(self.file.time.epochs, dtype=np.float64)
+        """Epochs (N,) of a simulated pass, s. Raises InputError where [time] names none."""
+        time = self.file.time
+        if time.step is None or time.epochs is None:
+            raise InputError(f"{self.name}: no step and epochs in [time] to simulate at")
+        return time.step * np.arange(time.epochs, dtype=np.float64)
+
+    @property
+    def cautions(self) -> tuple[Caution, ...]:
+        """What is doubtful about a pass simulated at `times`; nothing where none can be."""
+        if self.truth is None or self.file.time.epochs is None:
+            return ()
+        models = [*self.processes.values(), *self.sensors.values()]
+        return orbit_cautions(models, float(self.times[0]))
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not
         for simulation."""
-        if self.truth is None or self.file.time is None:
+        step = self.file.time.step
+        if self.truth is None or step is None:
             raise InputError(
                 f"{self.name}: no [truth] and [time] to simulate from; give recorded data"
             )
         for name, o in self.options.items():
-            cycles = (o.period or self.file.time.step) / self.file.time.step
+            cycles = (o.period or step) / step
             if cycles < 1 - 1e-6 or abs(cycles - round(cycles)) > 1e-6:
                 raise InputError(
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
-                    f" of time.step, {self.file.time.step} s"
+                    f" of time.step, {step} s"
                 )
         models = self.processes, self.sensors
         return simulate(self.truth, self.inputs, *models, self.timings, self.times, seed, run)

@@ -70,12 +70,25 @@ class ScenarioError(InputError):
 
 
 class TimeSettings(BaseModel):
-    """Epochs of a simulated pass: `epochs` of them, `step` apart, from t = 0."""
+    """The clock of a pass, and the epochs of a simulated one.
+
+    step, epochs: of a simulated pass, which has so many epochs, so far apart, from t = 0;
+    recorded data need neither. origin: what the stamps of files and streams say at t = 0, s: it
+    is taken off when they are read, so that numbers stay small, and put back when data are
+    written; all other times (`[orbit] epoch`, `evaluate`, results) are of the pass's own clock.
+    """
 
     model_config = _STRICT
 
-    step: Seconds
-    epochs: int = Field(ge=1)
+    step: Seconds | None = None
+    epochs: int | None = Field(default=None, ge=1)
+    origin: Annotated[float, Quantity("s")] = 0.0
+
+    @model_validator(mode="after")
+    def _both_or_none(self) -> TimeSettings:
+        if (self.step is None) != (self.epochs is None):
+            raise ValueError("found one of step and epochs, expected both or neither")
+        return self
 
 
 class DataSettings(BaseModel):
@@ -169,7 +182,7 @@ class ScenarioFile(BaseModel):
     seed: int = Field(default=0, ge=0)
     estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]
     evaluate: tuple[Bound, Bound] | None = None
-    time: TimeSettings | None = None
+    time: TimeSettings = TimeSettings()
     data: DataSettings | None = None
     online: OnlineSettings = OnlineSettings()
     orbit: dict[str, Any] | None = None

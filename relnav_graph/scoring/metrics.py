@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind, Track, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.scoring.agreement import distance_caution, distances
 from relnav_graph.scoring.deviations import (
     Band,
     StateErrors,
@@ -234,7 +236,9 @@ def _state_row(s: StateScore) -> dict[str, Any]:
     return {"unit": s.unit} | {name: getattr(s, name) for name in known}
 
 
-def _row(track: Track, s: Score) -> dict[str, Any]:
+def _row(
+    track: Track, s: Score, distance: float | None, cautions: Iterable[Caution]
+) -> dict[str, Any]:
     return {
         "kind": track.kind,
         "status": track.status,
@@ -243,6 +247,8 @@ def _row(track: Track, s: Score) -> dict[str, Any]:
         **step_ms(track.step_s),
         "anees": s.anees,
         "anees_band": s.anees_band,
+        "distance": distance,
+        "cautions": [vars(c) for c in cautions],
         "rejected": {sensor: int(n) for sensor, n in track.rejected.items()},
         "downweighted": {sensor: int(n) for sensor, n in track.downweighted.items()},
         "states": {name: _state_row(state) for name, state in s.states.items()},
@@ -263,21 +269,35 @@ def summary(
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None,
     epochs: int,
+    cautions: Sequence[Caution] = (),
 ) -> dict[str, Any]:
     """The object that ``relnav compare --json`` prints: strict JSON, schema 1.
 
-    truth: of tracks that have none of their own. States that truth does not know have unit
-    and sigma only. Raises InputError as
-    :func:`score` does.
+    truth: of tracks that have none of their own; cautions: of the pass. States that truth does
+    not know have unit and sigma only. Raises InputError as :func:`score` does.
     """
+    rows = with_smoothed(tracks)
+    reference, apart = distances(rows)
+    own = {
+        name: (*track.cautions, *distance_caution(apart[name], track, reference))
+        for name, track in rows.items()
+    }
+    of_pass = [{**vars(c), "estimator": None} for c in cautions]
+    of_rows = [{**vars(c), "estimator": name} for name, found in own.items() for c in found]
     return {
         "schema": 1,
         "scenario": scenario_name,
         "seed": seed,
         "epochs": epochs,
         "versions": versions(),
+        "cautions": of_pass + of_rows,
         "estimators": {
-            name: _row(track, score(track, track.truth or truth, derived, evaluate))
-            for name, track in with_smoothed(tracks).items()
+            name: _row(
+                track,
+                score(track, track.truth or truth, derived, evaluate),
+                apart[name],
+                own[name],
+            )
+            for name, track in rows.items()
         },
     }

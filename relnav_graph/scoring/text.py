@@ -41,6 +41,7 @@ def _overview(name: str, row: Mapping[str, Any]) -> list[str]:
         _text(row.get("step_ms", {}).get("median"), ".3g"),
         _text(row["anees"], ".2f"),
         "-" if low is None else f"{low:.2f}..{high:.2f}",
+        _text(row["distance"], ".2g"),
         ", ".join(f"{sensor} {n}" for sensor, n in row["rejected"].items() if n) or "-",
     ]
 
@@ -55,19 +56,25 @@ def _state(name: str, width: int, kind: str, state: Mapping[str, Any]) -> list[s
     ]
 
 
+def _caution(caution: Mapping[str, Any]) -> str:
+    return f"{caution['estimator'] or 'the pass'}: {caution['name']}: {caution['text']}"
+
+
 def table(summary: Mapping[str, Any]) -> str:
     """The object of :func:`relnav_graph.scoring.metrics.summary` as text, 100 columns wide.
 
     First a row per estimator (status, run time in s, median step in ms, joint ANEES and
-    its 95 % band, rejected observations), then a block per state in its unit.
+    its 95 % band, sigmas from batch or rts, rejected observations), with messages and cautions,
+    then a block per state in its unit.
     """
     rows = summary["estimators"]
     title = f"{summary['scenario']}: {summary['epochs']} epochs"
     title += "" if summary["seed"] is None else f", seed {summary['seed']}"
     overview = [_overview(name, row) for name, row in rows.items()]
-    header = "estimator |kind |status |run time s|step ms|ANEES|95 % band|rejected "
+    header = "estimator |kind |status |run time s|step ms|ANEES|95 % band|sigmas off|rejected "
     lines = [title, "", *_aligned(header, overview)]
     lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
+    lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
     width = max(map(len, ["estimator", *rows]))  # the same columns in every block
     units = {state: s["unit"] for row in rows.values() for state, s in row["states"].items()}
     for state, unit in units.items():

@@ -37,6 +37,10 @@ Out goes a line for each epoch, and for each one that a late measurement improve
 - `sigma` of an attitude are angles about the axes of its right-hand frame.
 - `rejected`: what was not used since the line before, and why; `id` null for all of a line,
   `sensor` null for a line that names none.
+- `cautions`: what leaves the status as it is, and must be known all the same, as
+  {"name": ..., "text": ...}; the key is there only where there is any.
+- All times out are of the pass's clock: where the scenario has a [time] origin, that is taken
+  off all times in, `t` of the header too.
 - `latency_ms`: computing time, from the last line in that it needed to this line.
 - `now`: with --predict-to-now, {"t": ..., "estimate": ...} at the newest time heard of that
   the inputs reach.
@@ -230,12 +234,23 @@ def _named(raw: Mapping[str, Any]) -> tuple[str | None, float | None]:
     return name if isinstance(name, str) else None, float(t) if is_time and t is not None else None
 
 
+def _since(origin: float, line: _Line) -> _Line:
+    """The line with its times counted from `origin`, s."""
+    times = ("t", "t_start", "t_end", "epoch", "t_arrival") if origin else ()
+    found = {name: getattr(line, name, None) for name in times}
+    return line.model_copy(update={n: t - origin for n, t in found.items() if t is not None})
+
+
 def parse_line(
-    text: bytes, sensors: Mapping[str, Sensor], inputs: Mapping[str, tuple[str, ...]]
+    text: bytes,
+    sensors: Mapping[str, Sensor],
+    inputs: Mapping[str, tuple[str, ...]],
+    origin: float = 0.0,
 ) -> tuple[int | None, Header | Measurement | InputSample | Tick]:
     """The number of a line, where it has one, and what it says.
 
-    inputs: columns of each input, by name. Raises LineError on whatever is wrong with it.
+    inputs: columns of each input, by name; origin: s, taken off all its times. Raises LineError on
+    whatever is wrong with it.
     """
     try:
         if len(text) > LONGEST:
@@ -250,7 +265,7 @@ def parse_line(
     try:
         if len(kinds) != 1:
             raise InputError(f"found keys {list(raw)[:20]}, expected one of {', '.join(_KINDS)}")
-        line = kinds[0].model_validate(raw)
+        line = _since(origin, kinds[0].model_validate(raw))
         return line.n, _checked(line, sensors, inputs)
     except ValidationError as error:
         problems = "; ".join(f"{path}: {text[:200]}" for path, text in from_pydantic("line", error))
@@ -259,10 +274,10 @@ def parse_line(
         raise LineError(str(error), *_named(raw)) from error
 
 
-def header_of(first: bytes) -> Header:
+def header_of(first: bytes, origin: float = 0.0) -> Header:
     """The header that a first line is, or an empty one when it is something else.
 
-    Raises LineError when it is a header that cannot be used.
+    origin: s, taken off its time. Raises LineError when it is a header that cannot be used.
     """
     try:
         raw = from_json(first)
@@ -270,7 +285,7 @@ def header_of(first: bytes) -> Header:
         return Header()
     if not isinstance(raw, dict) or "format" not in raw:
         return Header()
-    header = parse_line(first, {}, {})[1]
+    header = parse_line(first, {}, {}, origin)[1]
     assert isinstance(header, Header)
     return header
 

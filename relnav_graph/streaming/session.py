@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution, orbit_cautions
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.models import derived_quantities
@@ -47,7 +48,8 @@ class Session:
     """Estimates from lines. problem: its models and prior; its epochs are not used.
 
     online: the estimator, which has taken in nothing yet; header: of the stream; measured:
-    blocks whose prior is to be taken from the first epochs.
+    blocks whose prior is to be taken from the first epochs; origin: s, taken off the times of
+    lines.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Session:
         header: Header,
         options: Options,
         measured: Sequence[str] = (),
+        origin: float = 0.0,
     ) -> None:
         self.problem, self.online, self.header, self.options = problem, online, header, options
         self.columns = {k: v for p in problem.processes.values() for k, v in p.inputs.items()}
@@ -64,6 +67,7 @@ class Session:
         self.seq = 0
         self.status = "LOST"
         self.lines = 0
+        self._origin = origin
         self._patience = options.patience or problem.window or PATIENCE
         self._derived = derived_quantities(problem.layout)
         self._waiting = Waiting()
@@ -75,6 +79,8 @@ class Session:
         self._bridged = -np.inf  # end of the last gap in the inputs that was bridged
         self._beginning = Beginning(problem, measured) if measured else None
         self._doubt = ""  # of the prior that was measured
+        self._begun_at: float | None = None  # time of the first line out
+        self.cautions: tuple[Caution, ...] = ()
         if header.t is not None:
             self._heard = header.t
             self._waiting.at(header.t, header.t)
@@ -83,8 +89,9 @@ class Session:
 
     def parse(self, raw: bytes) -> Parsed:
         """What a line says; changes nothing."""
+        known = self.problem.sensors, self.columns
         try:
-            return Parsed(*parse_line(raw, self.problem.sensors, self.columns))
+            return Parsed(*parse_line(raw, *known, self._origin))
         except LineError as error:
             return Parsed(None, error)
 
@@ -307,6 +314,12 @@ class Session:
 
     # --- lines out -----------------------------------------------------------------------
 
+    def _begin_at(self, t: float | None) -> None:
+        """Note when the first line goes out, s: what is doubtful about a pass that begins then."""
+        self._begun_at = t
+        models = [*self.problem.processes.values(), *self.problem.sensors.values()]
+        self.cautions = () if t is None else orbit_cautions(models, t)
+
     def _found(self, found: Estimate) -> Output:
         status, message = found.status, found.message
         if status == "OK" and found.t <= self._bridged + self._patience:
@@ -331,7 +344,11 @@ class Session:
         self, t: float | None, status: str, message: str, found: tuple[Array, Array] | None
     ) -> Output:
         self.status = status
+        if self._begun_at is None:
+            self._begin_at(t)
         line: Output = {"seq": self.seq, "t": t, "status": status, "message": message}
+        if self.cautions:
+            line["cautions"] = [vars(c) for c in self.cautions]
         line["estimate"] = None if found is None else self._object(*found)
         if self.options.predict_to_now and found is not None and t is not None:
             line["now"] = self._now(t, found)
@@ -369,6 +386,7 @@ class Session:
             "fits": sorted(self._fits),
             "bridged": self._bridged,
             "doubt": self._doubt,
+            "begun_at": self._begun_at,
             "inputs": {name: saved.samples(b.samples) for name, b in self._inputs.items()},
             "waiting": saved.waiting(self._waiting.epochs),
         }
@@ -388,6 +406,7 @@ class Session:
             self.online = self.online.from_prior(Prior(first["x"], first["P"]))
             self._beginning, self.problem = None, self.online.problem
         self._doubt = own["doubt"]
+        self._begin_at(own.get("begun_at"))
         self.online.restore(arrays)
         self.rejected, self.seq, self.status = own["rejected"], own["seq"], own["status"]
         self.lines, self._heard, self._last = own["lines"], own["heard"], own["last"]

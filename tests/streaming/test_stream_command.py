@@ -28,7 +28,7 @@ def test_refusals_end_with_3_unless_allowed(tmp_path: Path, capsys: Capture) -> 
     assert relnav(capsys, "stream", path, "--from", data, "-o", out, "--allow-rejects")[0] == 0
     data.write_text("\n".join(lines) + "\n", "utf-8")
     assert relnav(capsys, "stream", path, "--from", data, "-o", out)[0] == 0
-    assert len(out.read_text().splitlines()) == scenario.file.time.epochs  # type: ignore[union-attr]
+    assert len(out.read_text().splitlines()) == scenario.file.time.epochs
 
 
 @pytest.mark.parametrize(

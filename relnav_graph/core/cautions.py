@@ -1,0 +1,53 @@
+"""Cautions: what leaves the status of an estimate as it is, and must be known all the same.
+
+A pass has some (`Problem.cautions`), and each estimate may have its own (`Track.cautions`). All
+are shown alike: in tables, in the JSON of a comparison (key `cautions`), in reports, and in the
+lines of a stream.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from relnav_graph.core.contracts import KnowsOrbit
+
+__all__ = ["Caution", "orbit_cautions"]
+
+#: Revolutions between the epoch of an orbit and the start of a pass from which on it is doubted
+#: that both are of one clock.
+FAR = 10.0
+
+
+@dataclass(frozen=True)
+class Caution:
+    """name: of what kind it is, in a word or two; text: what was found, and where."""
+
+    name: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.text}"
+
+
+def orbit_cautions(models: Iterable[Any], t: float) -> tuple[Caution, ...]:
+    """Of a pass that begins at time t, s, far from the epoch of an orbit that its models know.
+
+    models: sensors, processes, a truth, in any order. One caution for each orbit.
+    """
+    orbits = [m.orbit for m in models if isinstance(m, KnowsOrbit)]
+    found = []
+    for orbit in dict.fromkeys(orbit for orbit in orbits if orbit is not None):
+        turns = orbit.revolutions(t)
+        if abs(turns) > FAR:
+            found.append(
+                Caution(
+                    "orbit epoch",
+                    f"the pass begins at {t:.15g} s, {abs(turns):.4g} revolutions"
+                    f" {'after' if turns > 0 else 'before'} {orbit.epoch:.15g} s, where the orbit's"
+                    f" true anomaly is said to hold: are both of one clock? [orbit] epoch is that"
+                    " time, [time] origin is taken off all stamps",
+                )
+            )
+    return tuple(found)
