@@ -17,7 +17,7 @@ import numpy as np
 
 from relnav_graph.errors import InputError
 
-__all__ = ["Quantity", "check_fields", "convert", "parse_quantity", "unit_scale"]
+__all__ = ["Quantity", "check_fields", "column_unit", "convert", "parse_quantity", "unit_scale"]
 
 
 # Symbol -> (scale to SI, exponents of base units). Angles are dimensional on purpose:
@@ -65,6 +65,21 @@ def _parse_unit(unit: str) -> tuple[float, tuple[tuple[str, float], ...]]:
             exponents[name] = exponents.get(name, 0) + exponent * power
         position = match.end()
     return scale, tuple(sorted((n, e) for n, e in exponents.items() if e))
+
+
+#: Unit of a column of numbers, by the end of its name, the longest first.
+_COLUMN_UNITS = {
+    "_rad_s": "rad/s",
+    "_m_s2": "m/s^2",
+    "_m_s": "m/s",
+    "_rad": "rad",
+    "_m": "m",
+}
+
+
+def column_unit(column: str) -> str | None:
+    """The SI unit that the name of a column says, such as rad/s of wx_rad_s; None for none."""
+    return next((unit for end, unit in _COLUMN_UNITS.items() if column.endswith(end)), None)
 
 
 def unit_scale(unit: str, si: str) -> float:

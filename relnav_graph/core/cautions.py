@@ -7,13 +7,13 @@ lines of a stream.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from relnav_graph.core.contracts import KnowsOrbit
 
-__all__ = ["Caution", "orbit_cautions"]
+__all__ = ["Caution", "gap_cautions", "orbit_cautions"]
 
 #: Revolutions between the epoch of an orbit and the start of a pass from which on it is doubted
 #: that both are of one clock.
@@ -50,4 +50,21 @@ def orbit_cautions(models: Iterable[Any], t: float) -> tuple[Caution, ...]:
                     " time, [time] origin is taken off all stamps",
                 )
             )
+    return tuple(found)
+
+
+def gap_cautions(bridged: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[Caution, ...]:
+    """Of inputs with gaps that were bridged: by input, time of each epoch whose interval has a
+    part of one, s, and the length of that part, s."""
+    found = []
+    for name, parts in bridged.items():
+        times = ", ".join(f"{t:.12g}" for t, _ in parts[:10]) + (", ..." if len(parts) > 10 else "")
+        found.append(
+            Caution(
+                "input gap",
+                f"input {name!r} has no samples for {sum(length for _, length in parts):.6g} s of"
+                f" the intervals that lead to {len(parts)} epochs, t = {times} s: its last mean was"
+                f" held, and spreads ([gaps] {name})",
+            )
+        )
     return tuple(found)

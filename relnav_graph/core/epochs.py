@@ -24,7 +24,8 @@ class Epoch:
     """A time, what was measured then, and the inputs since the epoch before.
 
     t: s; inputs: for each process by name, u (rows, 1 + channels): one row per sub-interval,
-    its length in s, then the mean of each input over it, SI.
+    its length in s, then the mean of each input over it, SI. Where a gap in an input was bridged,
+    u (rows, 1 + 2 channels): then the spread of each, one sigma, SI.
     """
 
     t: float
@@ -57,7 +58,7 @@ def check_epoch(
         where = f"process {name!r} ({process.kind}) from {t_before} s to {epoch.t} s"
         if name not in epoch.inputs:
             raise InputError(f"{where}: found no inputs for it in the epoch")
-        u = check_inputs(where, process.inputs, epoch.inputs[name])
+        u = check_inputs(where, process.inputs, epoch.inputs[name], spreads=True)
         length, expected = float(u[:, 0].sum()), epoch.t - float(t_before or 0.0)
         if abs(length - expected) > SAME_TIME:
             raise InputError(f"{where}: found inputs over {length} s, expected {expected} s")
@@ -68,7 +69,8 @@ def process_inputs(
 ) -> Array:
     """u (rows, 1 + channels) of a process over [t0, t1], s; one row when it has no inputs.
 
-    Each row: length of the sub-interval, s, then the mean of each input over it, SI.
+    Each row: length of the sub-interval, s, then the mean of each input over it, SI; and the
+    spread of each where a gap was bridged, see `Epoch`.
 
     Raises InputError when an input is missing or does not cover the interval.
     """
@@ -83,12 +85,40 @@ def process_inputs(
     for part_edges, _ in parts:
         edges = np.union1d(edges, part_edges)
     # Edges closer than that are one edge, written with different rounding.
-    edges = edges[np.concatenate(([True], np.diff(edges) > SAME_TIME))]
+    closer = min(SAME_TIME, 0.25 * (t1 - t0))
+    edges = edges[np.concatenate(([True], np.diff(edges) > closer))]
     edges[-1] = t1
     middle = 0.5 * (edges[1:] + edges[:-1])
     columns = [np.diff(edges)[:, None]]
     columns += [values[np.searchsorted(e, middle) - 1] for e, values in parts]
-    return process.condense(np.ascontiguousarray(np.hstack(columns)))
+    u = np.ascontiguousarray(np.hstack(columns))
+    spreads: Array = np.hstack([series[name].spreads(edges) for name in process.inputs])
+    return _condensed(process, u, spreads) if spreads.any() else process.condense(u)
+
+
+def _condensed(process: Dynamics, u: Array, spreads: Array) -> Array:
+    """u (rows, 1 + 2 channels): of each run of rows the process may make fewer, but not of those
+    whose inputs are held."""
+    held = spreads.max(axis=1) > 0
+    starts = np.nonzero(held[:-1] | held[1:])[0] + 1
+    parts = []
+    for own, sigma in zip(np.split(u, starts), np.split(spreads, starts), strict=True):
+        few = own if sigma.any() else process.condense(np.ascontiguousarray(own))
+        parts.append(
+            np.hstack([few, sigma if sigma.any() else np.zeros((len(few), u.shape[1] - 1))])
+        )
+    return np.concatenate(parts)
+
+
+def bridged(process: Dynamics, u: Array) -> dict[str, float]:
+    """How long each input of a process was bridged in an interval, s, by name; u: see `Epoch`."""
+    out, at = {}, 1 + sum(len(columns) for columns in process.inputs.values())
+    for name, columns in process.inputs.items() if u.shape[1] > at else ():
+        held = u[:, at : at + len(columns)].any(axis=1)
+        at += len(columns)
+        if held.any():
+            out[name] = float(u[held, 0].sum())
+    return out
 
 
 def make_epochs(

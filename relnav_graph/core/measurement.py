@@ -10,6 +10,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
 
 __all__ = [
+    "Bridge",
     "InputSeries",
     "Measurement",
 ]
@@ -56,11 +57,27 @@ SAME_TIME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
+class Bridge:
+    """How gaps in an input are bridged: the last mean goes on, and is less and less known.
+
+    longest: s, up to which length; spread: SI, one sigma, for each channel or one for all: of the
+    mean over a gap of length L the integral has the variance (spread L)^2 then. Of a part of a
+    gap, from a to b seconds from where the held mean was known, it has spread^2 (b^2 - a^2), so
+    that the parts of a gap add up to that of the whole.
+    """
+
+    longest: float
+    spread: Array
+
+
+@dataclass(frozen=True, eq=False)
 class InputSeries:
     """A known input (gyro, accelerometer): its means over n intervals.
 
     t_start, t_end (n,): where each interval begins and ends, s; values (n, channels): the mean
     over it, SI, in the frame that the process says (for a gyro, the axes c of the chaser).
+    bridge: how gaps between the intervals, before and after them are bridged, None for not at
+    all; source, lines (n,): the file, and the line of each interval, for messages.
 
     Raises InputError on values that are not finite and on intervals that overlap or run
     backwards.
@@ -70,6 +87,9 @@ class InputSeries:
     t_start: Array
     t_end: Array
     values: Array
+    bridge: Bridge | None = None
+    source: str = ""
+    lines: Indices | None = None
 
     def __post_init__(self) -> None:
         for key in ("t_start", "t_end", "values"):
@@ -89,16 +109,87 @@ class InputSeries:
     def over(self, t0: float, t1: float) -> tuple[Array, Array]:
         """Edges (k + 1,), s, and values (k, channels) of the samples that cover [t0, t1].
 
-        Raises InputError where there is no sample.
+        In a gap, the value that is held there. Raises InputError on a gap that is not bridged.
         """
-        tolerance = SAME_TIME
-        i = int(np.searchsorted(self.t_end, t0 + tolerance, side="right"))
-        j = int(np.searchsorted(self.t_start, t1 - tolerance, side="left"))
-        starts, ends = self.t_start[i:j], self.t_end[i:j]
-        if j <= i or starts[0] > t0 + tolerance or ends[-1] < t1 - tolerance:
-            raise InputError(f"input {self.name!r} does not cover {t0} s to {t1} s")
-        gaps = starts[1:] - ends[:-1] > tolerance
-        if gaps.any():
-            t = ends[:-1][gaps][0]
-            raise InputError(f"input {self.name!r} has a gap after {t} s")
-        return np.concatenate(([t0], ends[:-1], [t1])), self.values[i:j]
+        gaps = self.gaps(t0, t1)
+        first, last = self._touching(t0, t1)
+        if not gaps:
+            ends = self.t_end[first : last - 1]
+            return np.concatenate(([t0], ends, [t1])), self.values[first:last]
+        edges, values = [t0], list[Array]()
+        rest = [
+            (a, b, max(int(np.searchsorted(self.t_start, b - SAME_TIME)) - 1, 0)) for a, b in gaps
+        ]
+        own = [(self.t_start[i], min(self.t_end[i], t1), i) for i in range(first, last)]
+        for _, end, i in sorted(rest + own):
+            edges.append(end)
+            values.append(self.values[i])
+        edges[-1] = t1
+        return np.array(edges), np.array(values)
+
+    def _touching(self, t0: float, t1: float) -> tuple[int, int]:
+        """Which samples, first to last - 1, tell of [t0, t1], s."""
+        # An interval may be shorter than the rounding of stamps.
+        tolerance = min(SAME_TIME, 0.25 * (t1 - t0))
+        first = int(np.searchsorted(self.t_end, t0 + tolerance, side="right"))
+        last = int(np.searchsorted(self.t_start, t1 - tolerance, side="left"))
+        if last <= first and len(self.t_end) and self._gap(first, t0, t1)[1] <= SAME_TIME:
+            first = min(first, len(self.t_end) - 1)
+            last = first + 1
+        return first, max(first, last)
+
+    def _gap(self, i: int, t0: float, t1: float) -> tuple[float, float]:
+        """Start, s, and length, s, of the gap before sample i, as far as [t0, t1] tells."""
+        start = float(self.t_end[i - 1]) if i else t0
+        return start, (float(self.t_start[i]) if i < len(self.t_start) else t1) - start
+
+    def gaps(self, t0: float, t1: float) -> list[tuple[float, float]]:
+        """Where no sample tells of [t0, t1], s: start and end of each part, s.
+
+        Raises InputError on one that is not bridged, longer than it may be, or without any
+        sample beside it.
+        """
+        first, last = self._touching(t0, t1)
+        ends = np.concatenate(([t0], np.minimum(self.t_end[first:last], t1)))
+        starts = np.concatenate((np.maximum(self.t_start[first:last], t0), [t1]))
+        found = []
+        for k in np.nonzero(starts - ends > (SAME_TIME if last > first else 0.0))[0].tolist():
+            self._check_gap(first + k, t0, t1)
+            found.append((float(ends[k]), float(starts[k])))
+        return found
+
+    def _check_gap(self, i: int, t0: float, t1: float) -> None:
+        """Raise InputError unless the gap before sample i is bridged."""
+        start, length = self._gap(i, t0, t1)
+        n = len(self.t_start)
+        if n and self.bridge is not None and length <= self.bridge.longest + SAME_TIME:
+            return
+        where = f"input {self.name!r}"
+        if self.lines is not None and n:
+            where = f"{self.source}, line {self.lines[min(max(i - 1, 0), n - 1)]}: {where}"
+        if not n or self.bridge is None:
+            inner = 0 < i < n
+            what = f"has a gap after {start} s" if inner else f"does not cover {t0} s to {t1} s"
+            raise InputError(f"{where} {what}")
+        raise InputError(
+            f"{where} has a gap of {length:.6g} s, from {start} s to {start + length} s; expected"
+            f" at most {self.bridge.longest:g} s ([gaps] {self.name}.bridge)"
+        )
+
+    def spreads(self, edges: Array) -> Array:
+        """One sigma, SI, (k, channels), of the means over k parts that adjoin at edges (k + 1,), s.
+
+        Zero where samples tell; see `Bridge`.
+        """
+        channels = self.values.shape[1]
+        out = np.zeros((len(edges) - 1, channels))
+        if self.bridge is None or not len(self.t_end):
+            return out
+        middle, last = 0.5 * (edges[1:] + edges[:-1]), len(self.t_end) - 1
+        after = np.searchsorted(self.t_end, middle, side="right")
+        known = np.where(after > 0, self.t_end[np.maximum(after - 1, 0)], self.t_start[0])
+        until = np.where(after <= last, self.t_start[np.minimum(after, last)], np.inf)
+        held = (middle < until) & (np.where(after > 0, until - known, np.inf) > SAME_TIME)
+        far = np.abs(edges[:-1] - known) + np.abs(edges[1:] - known)
+        out[held] = np.sqrt(far / np.diff(edges))[held, None] * self.bridge.spread
+        return out

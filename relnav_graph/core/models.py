@@ -53,20 +53,26 @@ def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:
     return np.concatenate([b.pack(v) for b, v in zip(blocks, values, strict=True)])
 
 
-def check_inputs(where: str, inputs: Mapping[str, tuple[str, ...]], u: Any) -> Array:
+def check_inputs(
+    where: str, inputs: Mapping[str, tuple[str, ...]], u: Any, spreads: bool = False
+) -> Array:
     """The inputs u (rows, 1 + channels) of an interval, as C-contiguous float64.
 
-    Each row: length of the sub-interval, s, then all inputs in their order, SI.
+    Each row: length of the sub-interval, s, then all inputs in their order, SI; with `spreads`,
+    they may have as many columns more, see `relnav_graph.core.epochs.Epoch`.
 
     Raises InputError on another shape, values that are not finite, lengths that are not
-    positive.
+    positive, spreads below zero.
     """
     array = np.ascontiguousarray(u, dtype=np.float64)
-    width = 1 + sum(len(columns) for columns in inputs.values())
-    if array.ndim != 2 or not len(array) or array.shape[1] != width:
-        raise InputError(f"{where}: found u of {array.shape}, expected (rows, {width})")
+    channels = sum(len(columns) for columns in inputs.values())
+    widths = (1 + channels, 1 + 2 * channels) if spreads else (1 + channels,)
+    if array.ndim != 2 or not len(array) or array.shape[1] not in widths:
+        raise InputError(f"{where}: found u of {array.shape}, expected (rows, {widths[0]})")
     if not np.isfinite(array).all() or (array[:, 0] <= 0).any():
         raise InputError(f"{where}: found u = {array}, expected finite values and lengths > 0")
+    if (array[:, 1 + channels :] < 0).any():
+        raise InputError(f"{where}: found u = {array}, expected spreads of zero or more")
     return array
 
 

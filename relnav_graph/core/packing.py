@@ -37,20 +37,31 @@ def without_repeats(epoch: Epoch) -> tuple[Epoch, Repeats]:
     return (replace(epoch, measurements=tuple(kept)) if repeats else epoch), repeats
 
 
-def split(u: Array, length: float) -> tuple[Array, Array]:
+def _channels(process: Dynamics) -> int:
+    return sum(len(columns) for columns in process.inputs.values())
+
+
+def split(u: Array, length: float, channels: int) -> tuple[Array, Array]:
     """An interval's inputs u (rows, 1 + channels) cut in two after `length` s.
 
-    Both parts have the same columns: length of the sub-interval, s, then the inputs, SI.
+    Both parts have the same columns: length of the sub-interval, s, then the inputs, SI. The
+    spreads of a row that is cut grow, so that its halves add up to the variance of the whole.
     """
     ends = np.cumsum(u[:, 0])
     starts = ends - u[:, 0]
     before, after = u[starts < length - SAME_TIME].copy(), u[ends > length + SAME_TIME].copy()
     before[-1, 0] = length - starts[len(before) - 1]
     after[0, 0] = ends[len(u) - len(after)] - length
+    if len(before) + len(after) > len(u):
+        a, b = before[-1, 0], after[0, 0]
+        before[-1, channels + 1 :] *= (a + b) / np.hypot(a, b)
+        after[0, channels + 1 :] *= (a + b) / np.hypot(a, b)
     return before, after
 
 
-def merged(epochs: Sequence[Epoch], m: Measurement) -> list[Epoch]:
+def merged(
+    epochs: Sequence[Epoch], m: Measurement, processes: Mapping[str, Dynamics]
+) -> list[Epoch]:
     """Epochs in order with one more measurement, not after the last of them: it joins the
     epoch of its time, or makes one and cuts the interval there."""
     out = list(epochs)
@@ -58,8 +69,10 @@ def merged(epochs: Sequence[Epoch], m: Measurement) -> list[Epoch]:
     if abs(out[k].t - m.t) <= SAME_TIME:
         out[k] = replace(out[k], measurements=(*out[k].measurements, m))
         return out
-    length = {name: float(u[:, 0].sum()) for name, u in out[k].inputs.items()}
-    halves = {name: split(u, length[name] - (out[k].t - m.t)) for name, u in out[k].inputs.items()}
+    halves = {}
+    for name, u in out[k].inputs.items():
+        length = float(u[:, 0].sum()) - (out[k].t - m.t)
+        halves[name] = split(u, length, _channels(processes[name]))
     out[k : k + 1] = [
         Epoch(m.t, (m,), {name: a for name, (a, _) in halves.items()}),
         replace(out[k], inputs={name: b for name, (_, b) in halves.items()}),
@@ -78,9 +91,9 @@ def held(
     """
     out = {}
     for name, process in processes.items():
-        channels = sum(len(columns) for columns in process.inputs.values())
+        channels = _channels(process)
         if name in last:
-            out[name] = np.array([[length, *last[name][-1, 1:]]])
+            out[name] = np.array([[length, *last[name][-1, 1 : 1 + channels]]])
         elif channels:
             raise InputError(f"process {name!r} ({process.kind}): no input was seen yet to hold")
         else:

@@ -12,9 +12,10 @@ from types import MappingProxyType
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.cautions import Caution, orbit_cautions
+from relnav_graph.core.cautions import Caution, gap_cautions, orbit_cautions
 from relnav_graph.core.contracts import Dynamics, Sensor
-from relnav_graph.core.epochs import Epoch, check_epoch
+from relnav_graph.core.epochs import Epoch, bridged, check_epoch
+from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.maths.losses import Loss
@@ -66,8 +67,9 @@ class Problem:
 
     processes, sensors: models by name; gates: probability of the chi-square gate by
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
-    fixed-lag smoother and for late data online, s, None for a number of epochs. Without
-    epochs it is one to be driven online: they come later. Raises ModelError when a block is
+    fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
+    gaps in inputs are bridged, by input, where they come online. Without epochs it is one to be
+    driven online: they come later. Raises ModelError when a block is
     advanced by no process or by two, InputError when times do not increase or a sensor is unknown.
     """
 
@@ -78,10 +80,11 @@ class Problem:
     gates: Mapping[str, float] = field(default_factory=dict)
     window: float | None = None
     losses: Mapping[str, Loss] = field(default_factory=dict)
+    bridges: Mapping[str, Bridge] = field(default_factory=dict)
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("processes", "sensors", "gates", "losses"):
+        for name in ("processes", "sensors", "gates", "losses", "bridges"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("gates", "losses"):
             for sensor in getattr(self, name):
@@ -118,7 +121,22 @@ class Problem:
         """What is doubtful about the pass, whoever estimates it; nothing before its epochs."""
         if not self.epochs:
             return ()
-        return orbit_cautions([*self.processes.values(), *self.sensors.values()], self.epochs[0].t)
+        return self.cautions_from(self.epochs[0].t) + gap_cautions(self.bridged)
+
+    def cautions_from(self, t: float) -> tuple[Caution, ...]:
+        """What is doubtful about a pass that begins at time t, s, whatever comes of it."""
+        return orbit_cautions([*self.processes.values(), *self.sensors.values()], t)
+
+    @property
+    def bridged(self) -> dict[str, list[tuple[float, float]]]:
+        """Where gaps in inputs were bridged, by input: times of the epochs whose interval has one,
+        s, and how much of it, s."""
+        found: dict[str, dict[float, float]] = {}
+        for epoch in self.epochs:
+            for name, u in epoch.inputs.items():
+                for key, length in bridged(self.processes[name], u).items():
+                    found.setdefault(key, {})[epoch.t] = length
+        return {key: list(lengths.items()) for key, lengths in found.items()}
 
 
 def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> Layout:

@@ -100,14 +100,16 @@ def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
         table.require(("t_s", *channels))
         table.increasing("t_s")
         t, values = table["t_s"], table.stack(channels)
-        return InputSeries(name, t[:-1], t[1:], values[1:])
+        where = str(table.path), table.lines[1:]
+        return InputSeries(name, t[:-1], t[1:], values[1:], None, *where)
     table.require(("t_start_s", "t_end_s", *channels))
     t_start, t_end = table["t_start_s"], table["t_end_s"]
     table.increasing("t_start_s")
     table.refuse(t_end <= t_start, "t_end_s", "a time after t_start_s")
     overlap = np.concatenate(([False], t_start[1:] < t_end[:-1] - 1e-9))
     table.refuse(overlap, "t_start_s", "a time not before t_end_s of the row above")
-    return InputSeries(name, t_start, t_end, table.stack(channels))
+    where = str(table.path), table.lines
+    return InputSeries(name, t_start, t_end, table.stack(channels), None, *where)
 
 
 def _on_epochs(truth: Truth, times: Array) -> Truth:

@@ -24,7 +24,17 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.linear import rows
-from relnav_graph.linear.tables import EPOCH, Q_DATA, ROW, ROWS, SENSOR, WHITEN, Z_DATA, Tables
+from relnav_graph.linear.tables import (
+    EPOCH,
+    Q_DATA,
+    ROW,
+    ROWS,
+    SENSOR,
+    WHITEN,
+    WIDTH,
+    Z_DATA,
+    Tables,
+)
 from relnav_graph.linear.whitening import (
     inverse_cholesky,
     measurement_noise,
@@ -121,7 +131,7 @@ class Assembly:
                 *places.add(columns),
                 sensor.rows,
             ]
-        process_table = np.zeros((len(processes), 12), dtype=np.int64)
+        process_table = np.zeros((len(processes), 14), dtype=np.int64)
         for i, process in enumerate(processes.values()):
             gather, columns = layout.gather(process.advances + process.reads)
             scatter, rows = layout.gather(process.advances)
@@ -133,6 +143,7 @@ class Assembly:
                 *places.add(rows),
                 *places.add(scatter),
                 1 + sum(len(c) for c in process.inputs.values()),
+                *places.add(Layout(process.advances).kinds),
             ]
         self._models = sensor_table, process_table, places.array(), numbers.array()
         self._take(epochs, t_before, checked)
@@ -149,11 +160,14 @@ class Assembly:
         numbers = _Store(np.float64)
         numbers.add(constants)
         observations = self._stack_observations(epochs, numbers)
-        intervals = np.zeros((len(starts), len(process_table), 2), dtype=np.int64)
+        intervals = np.zeros((len(starts), len(process_table), 3), dtype=np.int64)
         for i, name in enumerate(self._processes):
             for k, epoch in enumerate(epochs[len(epochs) - len(starts) :]):
-                u = epoch.inputs[name]
-                intervals[k, i] = numbers.add(u)[0], len(u)
+                u, width = epoch.inputs[name], process_table[i, WIDTH]
+                spread = u.shape[1] > width
+                intervals[k, i] = numbers.add(u[:, :width])[0], len(u), spread
+                if spread:
+                    numbers.add(u[:, width:])
         self.tables = Tables(
             *(sensor_table, observations, process_table, intervals),
             *(np.ascontiguousarray(starts), places, numbers.array()),
@@ -257,7 +271,7 @@ class Assembly:
             shift = base[id(t.numbers)]
             own = t.observations + np.array([0, count, first_row, *5 * [shift]])
             observations.append(own)
-            intervals.append(t.intervals + np.array([shift, 0]))
+            intervals.append(t.intervals + np.array([shift, 0, 0]))
             epochs.append(part.epoch_offsets[:-1] + first_observation)
             rows.append(part.row_offsets[:-1] + first_row)
             count += len(part.times)

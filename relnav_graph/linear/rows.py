@@ -29,11 +29,13 @@ from relnav_graph.linear.tables import (
     COLUMNS,
     EPOCH,
     GATHER,
+    KINDS,
     Q_DATA,
     ROW,
     ROWS,
     SCATTER,
     SENSOR,
+    SPREAD,
     TABLES,
     U_DATA,
     U_ROWS,
@@ -58,6 +60,8 @@ __all__ = [
     "whitening",
 ]
 
+#: Of a spread: the step by which its effect is found, short enough to be in proportion.
+SMALL = 1e-3
 # Statuses that the loops add to those of the kernels, and what they mean.
 UNFILLED, OUTSIDE = -1, -2
 BROKEN = {UNFILLED: "left an entry unfilled or not finite", OUTSIDE: "wrote past its arrays"}
@@ -185,6 +189,41 @@ def _observe_run(
 
 
 @jit
+def _add_spreads(
+    address: int,
+    p: Array,
+    t: float,
+    u: Array,
+    spreads: Array,
+    x: Array,
+    x_next: Array,
+    kinds: Indices,
+    F: Array,
+    Q: Array,
+) -> None:
+    """``Q += sum of d d^T``, d (n,) how far one sigma of one held input moves x_next.
+
+    u (rows, 1 + channels), spreads (rows, channels): of the interval of a process, from t, s; x,
+    x_next: stored values of the blocks it takes, and of those it advances; F (n, columns): not
+    changed; Q (n, n).
+    """
+    n, moved = Q.shape[0], u.copy()
+    other, slope, noise = np.empty(x_next.shape[0]), np.empty(F.shape), np.empty((n, n))
+    for row in range(u.shape[0]):
+        for channel in range(spreads.shape[1]):
+            sigma = spreads[row, channel]
+            if sigma == 0.0:
+                continue
+            moved[row, 1 + channel] = u[row, 1 + channel] + SMALL * sigma
+            call_dynamics(address, p, t, moved, x, other, slope, noise)
+            moved[row, 1 + channel] = u[row, 1 + channel]
+            d = local(x_next, other, kinds, n)
+            for i in range(n):
+                for j in range(n):
+                    Q[i, j] += d[i] * d[j] / (SMALL * SMALL)
+
+
+@jit
 def propagate(
     tables: Tables, k: int, x: Array, x_next: Array, F: Array, Q: Array
 ) -> tuple[int, int]:
@@ -221,6 +260,13 @@ def propagate(
             status = wrong
         if status != 0:
             return a, status
+        if intervals[k, a, SPREAD] != 0:
+            begin = intervals[k, a, U_DATA] + u.size
+            spreads = _matrix(numbers, begin, u.shape[0], u.shape[1] - 1)
+            kinds = places[process[KINDS] : process[KINDS + 1]].reshape(-1, 4)
+            _add_spreads(
+                process[ADDRESS], p, tables.starts[k], u, spreads, x_one, x_out, kinds, f_out, q_out
+            )
         for i in range(size):
             x_next[scatter[i]] = x_out[i]
         for i in range(m):

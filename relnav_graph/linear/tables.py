@@ -29,8 +29,8 @@ __all__ = [
 class Tables(NamedTuple):
     """A pass for the compiled loops; the constants below name the columns.
 
-    sensors (sensors, 8), observations (observations, 8), processes (processes, 12): a row for
-    each; intervals (M, processes, 2): a pair for each interval and process; starts (M,): of
+    sensors (sensors, 8), observations (observations, 8), processes (processes, 14): a row for
+    each; intervals (M, processes, 3): three for each interval and process; starts (M,): of
     the intervals, s; places: indices into a state or its tangent; numbers: constants of the
     models, data of the observations, whitening matrices and inputs, SI.
     """
@@ -50,12 +50,15 @@ TABLES = types.NamedTuple(
 
 # Columns of the tables. X is where a piece begins, X + 1 where it ends (for WHITEN and U_DATA:
 # only where it begins). P, Q_DATA, Z_DATA, WHITEN and U_DATA point into the numbers; GATHER,
-# COLUMNS and SCATTER, and ROWS of a process, into the places.
+# COLUMNS, SCATTER and KINDS, and ROWS of a process, into the places.
 ADDRESS, P, GATHER, COLUMNS = 0, 1, 3, 5  # of sensors and of processes
 ROWS = 7  # of a sensor: number of rows of an observation; of a process: rows of F and Q
 SCATTER, WIDTH = 9, 11  # of processes: places of x_next; number of columns of u
+KINDS = 12  # of processes: of the blocks advanced, see `relnav_graph.core.state.Layout.kinds`
 SENSOR, EPOCH, ROW, Q_DATA, Z_DATA, WHITEN = 0, 1, 2, 3, 5, 7  # of observations
-U_DATA, U_ROWS = 0, 1  # of intervals, for each process: where u begins, its number of rows
+# Of intervals, for each process: where u begins, its number of rows, and whether their spreads
+# (rows, channels) follow.
+U_DATA, U_ROWS, SPREAD = 0, 1, 2
 
 
 @jit

@@ -11,9 +11,11 @@ from pydantic import ValidationError
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.problem import layout_of
 from relnav_graph.errors import ModelError
 from relnav_graph.registry import find_class
+from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.schema import (
@@ -119,7 +121,7 @@ def make_scenario(
         made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
     if file is not None:
         _check_choices(file, problems)
-    layout = None
+    layout, bridges = None, dict[str, Bridge]()
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
@@ -129,6 +131,7 @@ def make_scenario(
     if file is not None and layout is not None:
         check_prior(layout, file, problems)
         _check_inputs(made["processes"], file, inputs, problems)
+        bridges = make_bridges(file, made["processes"], problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
     compile_ahead(
@@ -137,7 +140,7 @@ def make_scenario(
     )
     return Scenario(
         *(name, file, merged, made["processes"], made["sensors"], options),
-        *(truth, inputs, layout, control),
+        *(truth, inputs, layout, control, bridges),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution, orbit_cautions
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth
@@ -51,6 +52,7 @@ class Scenario:
     inputs: Mapping[str, Any]
     layout: Layout
     control: Controller | None = None
+    bridges: Mapping[str, Bridge] = field(default_factory=dict)
 
     @property
     def gates(self) -> dict[str, float]:
@@ -151,9 +153,9 @@ class Scenario:
         first measurements fit it in another unit only; EstimationError when it is to be
         measured and cannot be.
         """
-        epochs = make_epochs(
-            self.processes, recording.measurements, recording.inputs, recording.times
-        )
+        bridges = self.bridges
+        inputs = {n: replace(s, bridge=bridges.get(n)) for n, s in recording.inputs.items()}
+        epochs = make_epochs(self.processes, recording.measurements, inputs, recording.times)
         problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
         if self.measured:
             problem = replace(problem, prior=initialise(problem, self.measured))
@@ -167,7 +169,7 @@ class Scenario:
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""
         models, options = (self.processes, self.sensors), (self.gates, self.file.online.window)
-        return Problem(*models, prior, tuple(epochs), *options, self.losses)
+        return Problem(*models, prior, tuple(epochs), *options, self.losses, self.bridges)
 
     def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
         """The prior at time t, s, drawn about the truth where it has no mean.

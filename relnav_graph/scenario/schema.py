@@ -155,6 +155,20 @@ class OnlineSettings(BaseModel):
     window: Seconds | None = None
 
 
+class GapSettings(BaseModel):
+    """How gaps in an input are bridged, before, between and after its samples: for `bridge`
+    seconds at most the last mean goes on, and the variance (spread x length)^2 is added to what
+    is integrated of it. `spread`, in the unit of the input, is one number or one for each of its
+    channels; by default 0.1 deg/s for rates, 0.01 m/s^2 for accelerations, 0.1 m/s for
+    velocities; an input of another unit is bridged only where it is given. A longer gap is an
+    error."""
+
+    model_config = _STRICT
+
+    bridge: Annotated[float, Quantity("s", nonnegative=True)] = 30.0
+    spread: Any = None
+
+
 class BlockPrior(BaseModel):
     """Prior of one block. sigma: one for all axes or one each, SI or strings with units.
 
@@ -189,6 +203,7 @@ class ScenarioFile(BaseModel):
     truth: dict[str, Any] | None = None
     control: dict[str, Any] | None = None
     inputs: dict[str, dict[str, Any]] = {}
+    gaps: dict[str, GapSettings] = {}
     processes: dict[str, dict[str, Any]] = Field(min_length=1)
     sensors: dict[str, dict[str, Any]] = Field(min_length=1)
     prior: dict[str, BlockPrior]

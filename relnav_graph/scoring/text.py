@@ -64,14 +64,14 @@ def table(summary: Mapping[str, Any]) -> str:
     """The object of :func:`relnav_graph.scoring.metrics.summary` as text, 100 columns wide.
 
     First a row per estimator (status, run time in s, median step in ms, joint ANEES and
-    its 95 % band, sigmas from batch or rts, rejected observations), with messages and cautions,
-    then a block per state in its unit.
+    its 95 % band, how many sigmas apart it is from batch or rts, rejected observations), with
+    messages and cautions, then a block per state in its unit.
     """
     rows = summary["estimators"]
     title = f"{summary['scenario']}: {summary['epochs']} epochs"
     title += "" if summary["seed"] is None else f", seed {summary['seed']}"
     overview = [_overview(name, row) for name, row in rows.items()]
-    header = "estimator |kind |status |run time s|step ms|ANEES|95 % band|sigmas off|rejected "
+    header = "estimator |kind |status |run time s|step ms|ANEES|95 % band|apart|rejected "
     lines = [title, "", *_aligned(header, overview)]
     lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
     lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]

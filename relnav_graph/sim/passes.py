@@ -42,7 +42,8 @@ def _drifted(
     for name in parts[0] if parts else ():
         own = [part[name] for part in parts]
         columns = ([s.t_start for s in own], [s.t_end for s in own], [s.values for s in own])
-        series[name] = InputSeries(name, *(np.concatenate(c) for c in columns))
+        t_start, t_end, means = (np.concatenate(c) for c in columns)
+        series[name] = InputSeries(name, t_start, t_end, means)
     found = {name: np.array([v[name] for v in values]) for name in values[0]}
     return Truth(times, found, truth_model.source), series
 

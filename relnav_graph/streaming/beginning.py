@@ -42,7 +42,7 @@ class Beginning:
         """
         if self.epochs and epoch.t <= self.epochs[-1].t + SAME_TIME:
             for m in epoch.measurements:
-                self.epochs = merged(self.epochs, m)
+                self.epochs = merged(self.epochs, m, self.problem.processes)
         elif self.epochs:
             self.epochs.append(epoch)
             self.t = epoch.t

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Dynamics
 from relnav_graph.core.epochs import process_inputs
-from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
+from relnav_graph.core.measurement import SAME_TIME, Bridge, InputSeries, Measurement
+from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.streaming.lines import InputSample
 
@@ -56,29 +56,14 @@ class InputBuffer:
         k = bisect.bisect_right(self.samples, t + SAME_TIME, key=lambda s: s.t_end)
         return (self.samples[i] for i in range(k, len(self.samples)))
 
-    def series(self, t0: float, t1: float) -> InputSeries:
-        """The samples that touch [t0, t1], s."""
-        chosen = []
-        for sample in self._from(t0):
-            if sample.t_start >= t1 - SAME_TIME:
-                break
-            chosen.append(sample)
-        values = np.array([s.values for s in chosen]).reshape(len(chosen), -1)
+    def series(self, t0: float, t1: float, beside: bool = False) -> InputSeries:
+        """The samples that touch [t0, t1], s; and those before and after them."""
+        k = bisect.bisect_right(self.samples, t0 + SAME_TIME, key=lambda s: s.t_end)
+        j = bisect.bisect_left(self.samples, t1 - SAME_TIME, key=lambda s: s.t_start)
+        chosen = self.samples[max(k - 1, 0) : j + 1] if beside else self.samples[k:j]
+        values = np.array([s.values for s in chosen]).reshape(len(chosen), -1 if chosen else 0)
         edges = np.array([(s.t_start, s.t_end) for s in chosen]).reshape(-1, 2)
         return InputSeries(self.name, edges[:, 0], edges[:, 1], values)
-
-    def bridge(self, t: float) -> InputSample | None:
-        """Fill the gap that begins at t with the mean of its neighbours; None when nothing
-        lies beyond it."""
-        after = next(self._from(t), None)
-        if after is None:
-            return None
-        k = self.samples.index(after)
-        before = self.samples[k - 1] if k else after
-        middle = 0.5 * (before.values + after.values)
-        filled = replace(after, t_start=t, t_end=after.t_start, values=middle)
-        self.samples.insert(k, filled)
-        return filled
 
     def held(self, t0: float, t1: float) -> InputSeries:
         """The samples of [t0, t1], s, and from where they end on the newest one."""
@@ -112,25 +97,33 @@ class Inputs(dict[str, InputBuffer]):
                 return f"no inputs: {name} reaches {reach} s only"
         return ""
 
-    def bridged(self, now: float, t: float) -> Iterator[InputSample | None]:
-        """Fill the gaps between `now` and t, s: what was put there, or None where nothing lies
-        beyond a gap."""
-        for buffer in self.values():
-            while (reach := buffer.reach(now)) < t - SAME_TIME:
-                filled = buffer.bridge(reach)
-                yield filled
-                if filled is None:
-                    return
+    def gaps(
+        self, bridges: Mapping[str, Bridge], now: float, t: float
+    ) -> list[tuple[str, float, float]]:
+        """Gaps between `now` and t, s: of which input, from when to when, s. Raises InputError on
+        one that is not to be bridged."""
+        found = self._series(bridges, now, t).items()
+        return [(name, a, b) for name, series in found for a, b in series.gaps(now, t)]
 
-    def since(
-        self, processes: Mapping[str, Dynamics], now: float, t: float, hold: bool
-    ) -> dict[str, Array]:
+    def _series(
+        self, bridges: Mapping[str, Bridge], now: float, t: float
+    ) -> dict[str, InputSeries]:
+        return {
+            name: replace(buffer.series(now, t, beside=True), bridge=bridges.get(name))
+            for name, buffer in self.items()
+        }
+
+    def since(self, problem: Problem, now: float, t: float, hold: bool) -> dict[str, Array]:
         """Inputs of each process from `now` to t, s, by name: u (rows, 1 + channels).
 
-        Each row: length of the sub-interval, s, then the inputs, SI. hold: the newest sample goes
-        on beyond its end.
+        Each row: length of the sub-interval, s, then the inputs, SI, and their spreads where a gap
+        is bridged, as the problem says. hold: the newest sample goes on beyond its end, without.
         """
-        series = {n: b.held(now, t) if hold else b.series(now, t) for n, b in self.items()}
+        if hold:
+            series = {name: buffer.held(now, t) for name, buffer in self.items()}
+        else:
+            series = self._series(problem.bridges, now, t)
+        processes = problem.processes
         return {name: process_inputs(p, series, now, t) for name, p in processes.items()}
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.cautions import Caution, orbit_cautions
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.models import derived_quantities
@@ -89,9 +89,8 @@ class Session:
 
     def parse(self, raw: bytes) -> Parsed:
         """What a line says; changes nothing."""
-        known = self.problem.sensors, self.columns
         try:
-            return Parsed(*parse_line(raw, *known, self._origin))
+            return Parsed(*parse_line(raw, self.problem.sensors, self.columns, self._origin))
         except LineError as error:
             return Parsed(None, error)
 
@@ -123,15 +122,12 @@ class Session:
         return bool(self._waiting.epochs)
 
     def end(self) -> list[Output]:
-        """The end of the stream: refuse what still waits; the last line, if anything is left
-        to say."""
+        """The end of the stream, and of what still waits; the last line, if any is due."""
         out = self._begun() if self._beginning is not None and self._beginning.epochs else []
-        status, message = self.status, "the end of the stream"
-        for epoch in self._waiting.epochs:
-            status, message = "LOST", self._lacking(epoch.t)
-            self._refuse(epoch, message)
-        self._waiting.epochs.clear()
-        return [*out, self._line(self.online.t, status, message, None)] if self._notes else out
+        out += self._advance(everything=True, ended=True)
+        if self._notes:
+            out.append(self._line(self.online.t, self.status, "the end of the stream", None))
+        return out
 
     def _reject(self, sensor: str | None, t: float | None, id: int | None, reason: str) -> None:
         counts = self.rejected.setdefault(sensor or "(unnamed)", {})
@@ -202,8 +198,8 @@ class Session:
         """Time of the newest epoch taken in, or held back, s."""
         return self.online.t if self._beginning is None else self._beginning.t
 
-    def _advance(self, everything: bool) -> list[Output]:
-        """Take in the epochs that are complete, in order of time."""
+    def _advance(self, everything: bool, ended: bool = False) -> list[Output]:
+        """Take in the epochs that are complete, in order of time; in the end, all of them."""
         out = []
         while self._waiting.epochs:
             epoch = self._waiting.epochs[0]
@@ -211,11 +207,12 @@ class Session:
                 break
             now = self._reached
             if now is not None and epoch.t > now and self._lacking(epoch.t):
-                if self._heard - epoch.t <= self._patience:
+                if self._heard - epoch.t <= self._patience and not ended:
                     break
-                if not self._bridge(epoch.t):
-                    self._refuse(self._waiting.epochs.pop(0), self._lacking(epoch.t))
-                    out.append(self._line(epoch.t, "LOST", self._lacking(epoch.t), None))
+                refusal = self._bridge(now, epoch.t)
+                if refusal:
+                    self._refuse(self._waiting.epochs.pop(0), refusal)
+                    out.append(self._line(epoch.t, "LOST", refusal, None))
                     continue
             self._waiting.epochs.pop(0)
             out += self._estimate(epoch)
@@ -226,24 +223,20 @@ class Session:
         now = self._reached
         return "" if now is None else self._inputs.lacking(now, t)
 
-    def _bridge(self, t: float) -> bool:
-        """Fill the gaps of the inputs up to t; whether that is possible."""
-        for filled in self._inputs.bridged(float(self._reached or 0.0), t):
-            if filled is None:
-                return False
-            self._bridged = max(self._bridged, filled.t_end)
-            self._reject(
-                filled.name,
-                filled.t_end,
-                None,
-                f"gap: nothing from {filled.t_start} s to {filled.t_end} s; bridged with the"
-                " mean of its neighbours",
-            )
-        return True
+    def _bridge(self, now: float, t: float) -> str:
+        """Say which gaps in inputs are bridged from `now` to t, s; or why they cannot be."""
+        try:
+            gaps = self._inputs.gaps(self.problem.bridges, now, t)
+        except InputError as error:
+            return f"no inputs: {error}"
+        for name, start, end in gaps:
+            self._bridged = max(self._bridged, end)
+            self._reject(name, end, None, f"gap: nothing from {start} s to {end} s; bridged")
+        return ""
 
     def _since(self, now: float, t: float, hold: bool = False) -> dict[str, Array]:
         """Inputs of each process from the newest epoch on to t."""
-        return self._inputs.since(self.problem.processes, now, t, hold)
+        return self._inputs.since(self.problem, now, t, hold)
 
     def _begin(self, epoch: WaitingEpoch, beginning: Beginning) -> list[Output]:
         """Take an epoch before there is an estimate."""
@@ -315,10 +308,9 @@ class Session:
     # --- lines out -----------------------------------------------------------------------
 
     def _begin_at(self, t: float | None) -> None:
-        """Note when the first line goes out, s: what is doubtful about a pass that begins then."""
+        """Note the time of the first line out, s."""
         self._begun_at = t
-        models = [*self.problem.processes.values(), *self.problem.sensors.values()]
-        self.cautions = () if t is None else orbit_cautions(models, t)
+        self.cautions = () if t is None else self.problem.cautions_from(t)
 
     def _found(self, found: Estimate) -> Output:
         status, message = found.status, found.message

@@ -196,7 +196,7 @@ class Online:
         start = next(i for i, moment in enumerate(old.moments) if moment.epoch.t >= first)
         epochs = [moment.epoch for moment in old.moments[start:]]
         for m in measurements:
-            epochs = merged(epochs, m)
+            epochs = merged(epochs, m, self.problem.processes)
         cleaned = [without_repeats(e) for e in epochs]
         repeats = [r for _, more in cleaned for r in more]
         if sum(len(ids) for _, _, ids in repeats) == sum(len(m.z) for m in measurements):
