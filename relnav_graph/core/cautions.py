@@ -11,13 +11,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from relnav_graph.core.contracts import KnowsOrbit
+import numpy as np
 
-__all__ = ["Caution", "gap_cautions", "orbit_cautions"]
+from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import KnowsOrbit
+from relnav_graph.core.epochs import unit_hint
+
+__all__ = ["Caution", "gap_cautions", "interval_cautions", "orbit_cautions"]
 
 #: Revolutions between the epoch of an orbit and the start of a pass from which on it is doubted
 #: that both are of one clock.
 FAR = 10.0
+#: Median interval between epochs, s, from which on it is doubted that stamps are in seconds.
+LONG = 500.0
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,15 @@ def orbit_cautions(models: Iterable[Any], t: float) -> tuple[Caution, ...]:
                 )
             )
     return tuple(found)
+
+
+def interval_cautions(times: Array) -> tuple[Caution, ...]:
+    """Of epochs at times (N,), s, that are so far apart that their stamps may not be in seconds."""
+    typical = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if typical < LONG:
+        return ()
+    text = f"the epochs are {typical:.6g} s apart (median){unit_hint(typical)}"
+    return (Caution("intervals", text),)
 
 
 def gap_cautions(bridged: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[Caution, ...]:

@@ -33,6 +33,35 @@ class Epoch:
     inputs: Mapping[str, Array] = field(default_factory=dict)
 
 
+#: Longest interval, s, and most steps of a process over one: whoever asks for more means
+#: something else.
+LONGEST, MOST_STEPS = 1e6, 1e6
+
+
+def unit_hint(length: float) -> str:
+    """What stamps `length` s apart may be in, if not in seconds: the finest unit that makes a
+    tenth of a second or more of it; "" where it is no more than that in any."""
+    for unit, scale in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3)):
+        if length * scale >= 0.1:
+            return f": are the stamps in {unit}?"
+    return ""
+
+
+def _check_length(where: str, process: Dynamics, length: float) -> None:
+    """Raise InputError on an interval that no model can mean."""
+    if length > LONGEST:
+        raise InputError(
+            f"{where}: found an interval of {length:.6g} s, expected at most {LONGEST:g} s"
+            + unit_hint(length)
+        )
+    step = getattr(process, "max_step", None)
+    if isinstance(step, float) and length > MOST_STEPS * step:
+        raise InputError(
+            f"{where}: found an interval of {length:.6g} s, {length / step:.3g} steps of"
+            f" max_step = {step:g} s, expected at most {MOST_STEPS:g}" + unit_hint(length)
+        )
+
+
 def check_epoch(
     processes: Mapping[str, Dynamics],
     sensors: Mapping[str, Sensor],
@@ -42,7 +71,8 @@ def check_epoch(
     """Check an epoch and, unless t_before is None, the interval that leads to it.
 
     Raises InputError when a sensor is unknown, a measurement is of another time or width,
-    or a process lacks inputs, has some of another form, or of another length of time.
+    or a process lacks inputs, has some of another form, or of another length of time, or is to
+    go on for longer than any model can mean.
     """
     for m in epoch.measurements:
         if m.sensor not in sensors:
@@ -56,6 +86,7 @@ def check_epoch(
             )
     for name, process in processes.items() if t_before is not None else ():
         where = f"process {name!r} ({process.kind}) from {t_before} s to {epoch.t} s"
+        _check_length(where, process, epoch.t - float(t_before or 0.0))
         if name not in epoch.inputs:
             raise InputError(f"{where}: found no inputs for it in the epoch")
         u = check_inputs(where, process.inputs, epoch.inputs[name], spreads=True)

@@ -12,7 +12,12 @@ from types import MappingProxyType
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.cautions import Caution, gap_cautions, orbit_cautions
+from relnav_graph.core.cautions import (
+    Caution,
+    gap_cautions,
+    interval_cautions,
+    orbit_cautions,
+)
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import Epoch, bridged, check_epoch
 from relnav_graph.core.measurement import Bridge
@@ -121,7 +126,8 @@ class Problem:
         """What is doubtful about the pass, whoever estimates it; nothing before its epochs."""
         if not self.epochs:
             return ()
-        return self.cautions_from(self.epochs[0].t) + gap_cautions(self.bridged)
+        start = self.cautions_from(self.epochs[0].t)
+        return start + interval_cautions(self.times) + gap_cautions(self.bridged)
 
     def cautions_from(self, t: float) -> tuple[Caution, ...]:
         """What is doubtful about a pass that begins at time t, s, whatever comes of it."""

@@ -18,6 +18,7 @@ from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths.losses import Loss
 from relnav_graph.scenario.first_estimate import initialise
 from relnav_graph.scenario.priors import make_prior
@@ -25,7 +26,7 @@ from relnav_graph.scenario.schema import (
     ScenarioFile,
     SensorOptions,
 )
-from relnav_graph.scenario.unit_check import wrong_unit
+from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
 from relnav_graph.sim.contracts import Controller
 from relnav_graph.sim.passes import simulate
 from relnav_graph.sim.sensors import Timing, measure_all, stream
@@ -153,6 +154,7 @@ class Scenario:
         first measurements fit it in another unit only; EstimationError when it is to be
         measured and cannot be.
         """
+        check_step(recording.times, self.file.time.step)
         bridges = self.bridges
         inputs = {n: replace(s, bridge=bridges.get(n)) for n, s in recording.inputs.items()}
         epochs = make_epochs(self.processes, recording.measurements, inputs, recording.times)
@@ -164,7 +166,28 @@ class Scenario:
             reason = wrong_unit(self.sensors[m.sensor], m, self.layout, prior.x, prior.P)
             if reason is not None:
                 raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")
+        self._check_inputs(problem)
         return problem
+
+    def _check_inputs(self, problem: Problem) -> None:
+        """Raise InputError when the first measurements after the inputs began fit with inputs in
+        another unit only."""
+        before, after = (e.t for e in problem.epochs[:-1]), problem.epochs[1:]
+        x, P = problem.prior.x, problem.prior.P
+        for t, epoch in zip(before, after, strict=True) if self.input_columns else ():
+
+            def predict(
+                u: Mapping[str, Array], t0: float = t, t1: float = epoch.t, at: Any = (x, P)
+            ) -> tuple[Array, Array]:
+                ahead = [Epoch(t1, (), u)]
+                return Assembly(self.layout, self.processes, {}, ahead, t0).predict(*at)
+
+            if epoch.measurements:
+                reason = wrong_input(problem, epoch.measurements, epoch.inputs, predict)
+                if reason:
+                    raise InputError(f"from t = {t} s to {epoch.t} s: {reason}")
+                return
+            x, P = predict(epoch.inputs)
 
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""

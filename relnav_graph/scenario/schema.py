@@ -23,6 +23,7 @@ from pydantic import (
 
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.epochs import LONGEST, unit_hint
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.maths.losses import LossKind
 from relnav_graph.registry import classes, find_class, provides
@@ -85,9 +86,12 @@ class TimeSettings(BaseModel):
     origin: Annotated[float, Quantity("s")] = 0.0
 
     @model_validator(mode="after")
-    def _both_or_none(self) -> TimeSettings:
+    def _reasonable(self) -> TimeSettings:
         if (self.step is None) != (self.epochs is None):
             raise ValueError("found one of step and epochs, expected both or neither")
+        if self.step is not None and self.step > LONGEST:
+            hint = unit_hint(self.step).replace("stamps", "numbers")
+            raise ValueError(f"found step {self.step:g} s, expected at most {LONGEST:g} s{hint}")
         return self
 
 

@@ -1,12 +1,13 @@
-"""Measurements given in another unit than the one in the name of their column.
+"""Measurements, inputs and stamps given in another unit than the one in the name of their column.
 
-A wrong unit is wrong from the first measurement on, by a factor that people know: so a
-sensor's first one is held against what is expected of it, and where it fits only after such
-a factor, the error says which.
+A wrong unit is wrong from the first number on, by a factor that people know: so a sensor's first
+measurement is held against what is expected of it, an input by the first measurements that
+follow it, and where they fit only after such a factor, the error says which.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,17 +16,20 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
-from relnav_graph.units import unit_scale
+from relnav_graph.errors import InputError
+from relnav_graph.units import column_unit, unit_scale
 
-__all__ = ["wrong_unit"]
+__all__ = ["check_step", "wrong_input", "wrong_unit"]
 
-#: Units that people mean, by the end of a column's name, and its SI unit.
+#: Units that people mean, by the SI unit that the name of a column says.
 _MEANT = {
-    "_rad_s": ("rad/s", ("deg/s", "deg/h")),
-    "_m_s": ("m/s", ("km/s", "mm/s")),
-    "_rad": ("rad", ("deg", "arcsec", "mrad")),
-    "_m": ("m", ("km", "mm")),
+    "rad/s": ("deg/s", "deg/h"),
+    "m/s": ("km/s", "mm/s"),
+    "m/s^2": ("g0", "mm/s^2"),
+    "rad": ("deg", "arcsec", "mrad"),
+    "m": ("km", "mm"),
 }
 #: Chance that a measurement in the right unit is called a misfit, in the wrong one a fit.
 _MISFIT, _FIT = 1e-9, 1e-3
@@ -46,6 +50,15 @@ def _misfit(
     return float(r @ np.linalg.solve(S, r)), len(r)
 
 
+def _scales(columns: Sequence[str]) -> Iterator[tuple[str, Array]]:
+    """Each wrong unit that columns may be in, in words, and the factors (columns,) to the right."""
+    units = [column_unit(c) for c in columns]
+    for si, meant in _MEANT.items():
+        chosen = np.array([u == si for u in units])
+        for unit in meant if chosen.any() else ():
+            yield f"{unit} given for {si}", np.where(chosen, unit_scale(unit, si), 1.0)
+
+
 def wrong_unit(sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Array) -> str | None:
     """A message when a measurement fits in another unit only; None when it fits as it is, or in
     no unit. x (size,), P (n, n): predicted state and covariance."""
@@ -54,15 +67,81 @@ def wrong_unit(sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Arra
         misfit, rows = _misfit(sensor, m, layout, x, P)
         if misfit <= chdtri(rows, _MISFIT):
             return None
-        for end, (si, meant) in _MEANT.items():
-            chosen = np.array([c.endswith(end) for c in sensor.columns])
-            for unit in meant if chosen.any() else ():
-                scale = np.where(chosen, unit_scale(unit, si), 1.0)
-                misfit, _ = _misfit(sensor, replace(m, z=m.z * scale), layout, x, P)
-                if misfit <= chdtri(rows, _FIT) and fitting is None:
-                    fitting = f"{unit} given for {si}"
+        for words, scale in _scales(sensor.columns):
+            misfit, _ = _misfit(sensor, replace(m, z=m.z * scale), layout, x, P)
+            if misfit <= chdtri(rows, _FIT) and fitting is None:
+                fitting = words
     except Exception:  # what a model has against it is for the estimator to say
         return None
     if fitting is None:
         return None
     return f"{fitting}? its squared misfit is far from chance as it is, and not in that unit"
+
+
+#: What the prediction to an epoch is, x (size,) and P (n, n), with inputs u by process.
+Predict = Callable[[Mapping[str, Array]], tuple[Array, Array]]
+
+
+def wrong_input(
+    problem: Problem,
+    measurements: Sequence[Measurement],
+    inputs: Mapping[str, Array],
+    predict: Predict,
+) -> str | None:
+    """A message when measurements fit with an input in another unit only; "" when they fit as it
+    is, None when in no unit.
+
+    inputs: u (rows, 1 + channels) by process, SI, from a known state to the measurements' epoch;
+    predict: what is expected there with such inputs.
+    """
+
+    def misfit(given: Mapping[str, Array], chance: float) -> float:
+        """The largest of the measurements, in parts of what chance allows."""
+        x, P = predict(given)
+        found = [_misfit(problem.sensors[m.sensor], m, problem.layout, x, P) for m in measurements]
+        return max(size / float(chdtri(rows, chance)) for size, rows in found)
+
+    least, fitting = 1.0, None
+    try:
+        if misfit(inputs, _MISFIT) <= 1.0:
+            return ""
+        for name in dict.fromkeys(n for p in problem.processes.values() for n in p.inputs):
+            columns = next(p.inputs[name] for p in problem.processes.values() if name in p.inputs)
+            for words, scale in _scales(columns):
+                size = misfit(_scaled(problem, inputs, name, scale), _FIT)
+                if size <= least:
+                    least, fitting = size, f"input {name!r}: {words}?"
+    except Exception:  # what a model has against it is for the estimator to say
+        return None
+    if fitting is None:
+        return None
+    return f"{fitting} what is measured next is far from chance as it is, and not in that unit"
+
+
+def _scaled(
+    problem: Problem, inputs: Mapping[str, Array], name: str, scale: Array
+) -> dict[str, Array]:
+    """The inputs u of all processes with one input times scale (channels,)."""
+    out = {}
+    for key, u in inputs.items():
+        factors, at = np.ones(u.shape[1]), 1
+        for other, columns in problem.processes[key].inputs.items():
+            if other == name:
+                factors[at : at + len(columns)] = scale
+            at += len(columns)
+        out[key] = u * factors
+    return out
+
+
+def check_step(times: Array, step: float | None) -> None:
+    """Raise InputError when epochs at times (N,), s, are a thousand, a million or a billion times
+    further apart than `step`, s, which a scenario gives."""
+    if step is None or len(times) < 2:
+        return
+    typical = float(np.median(np.diff(times)))
+    for unit, factor in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if 0.9 < typical / (factor * step) < 1.1:
+            raise InputError(
+                f"the epochs from t = {times[0]:.15g} s on are {typical:.6g} s apart, expected"
+                f" time.step = {step:g} s: are the stamps in {unit}?"
+            )

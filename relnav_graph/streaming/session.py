@@ -11,7 +11,7 @@ clock, no chance. So the journal needs no more than those.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from relnav_graph.core.packing import under
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators.online.driver import Estimate, Online
-from relnav_graph.scenario.unit_check import wrong_unit
 from relnav_graph.streaming import saved
 from relnav_graph.streaming.beginning import Beginning
 from relnav_graph.streaming.buffers import InputBuffer, Inputs, Waiting, WaitingEpoch
@@ -38,6 +37,7 @@ from relnav_graph.streaming.lines import (
     parse_line,
 )
 from relnav_graph.streaming.options import PATIENCE, Options, Parsed
+from relnav_graph.streaming.right_units import check_inputs, misfits
 
 __all__ = ["Options", "Parsed", "Session"]
 
@@ -269,7 +269,11 @@ class Session:
                 found = self.online.insert(measurements) if measurements else None
             else:
                 inputs = {} if now is None else self._since(now, epoch.t)
-                measurements = self._in_right_units(measurements, epoch.t, inputs)
+                first = self.online, self._fits, measurements, epoch.t, inputs
+                check_inputs(*first)
+                for m, reason in misfits(*first):
+                    self._refuse(WaitingEpoch(m.t, m.t, [m]), reason)
+                    measurements = tuple(other for other in measurements if other is not m)
                 found = self.online.step(Epoch(epoch.t, measurements, inputs))
         except (RelnavError, np.linalg.LinAlgError) as error:
             self._refuse(epoch, f"failed: {error}")
@@ -282,28 +286,6 @@ class Session:
         for buffer in self._inputs.values():
             buffer.drop(found.t)
         return [self._found(found)]
-
-    def _in_right_units(
-        self, measurements: tuple[Measurement, ...], t: float, inputs: Mapping[str, Array]
-    ) -> tuple[Measurement, ...]:
-        """Those that fit as they are; a sensor's first one must not fit in another unit only."""
-        unknown = {m.sensor for m in measurements} - self._fits
-        if not unknown:
-            return measurements
-        prior, online = self.problem.prior, self.online
-        x, P = (prior.x, prior.P) if online.t is None else online.predict(t, inputs)
-        kept = []
-        for m in measurements:
-            sensor = self.problem.sensors[m.sensor]
-            reason = None
-            if m.sensor in unknown:
-                reason = wrong_unit(sensor, m, self.problem.layout, x, P)
-            if reason is None:
-                kept.append(m)
-                self._fits.add(m.sensor)
-            else:
-                self._refuse(WaitingEpoch(m.t, m.t, [m]), f"unit: {reason}")
-        return tuple(kept)
 
     # --- lines out -----------------------------------------------------------------------
 
