@@ -1,4 +1,4 @@
-"""Buffers of a stream: inputs over the window, and epochs that wait for their inputs."""
+"""Buffers of a stream: samples of inputs, and epochs that wait for their inputs."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class InputBuffer:
         return True
 
     def reach(self, t: float) -> float:
-        """How far the samples go on without a gap from t, s; t itself when they do not."""
+        """The time, s, up to which samples cover [t, ...] without a gap; t when none covers it."""
         for sample in self._from(t):
             if sample.t_start > t + SAME_TIME:
                 break
@@ -68,8 +68,10 @@ class InputBuffer:
         return InputSeries(self.name, edges[:, 0], edges[:, 1], values)
 
     def bridge(self, t: float) -> InputSample | None:
-        """Fill the gap that begins at t with the mean of its neighbours; None when nothing
-        lies beyond it."""
+        """Fill the gap that begins at t, s, with the mean of the samples before and after it.
+
+        Returns the sample put there; None when there is no sample after the gap.
+        """
         after = next(self._from(t), None)
         if after is None:
             return None
@@ -81,7 +83,7 @@ class InputBuffer:
         return filled
 
     def held(self, t0: float, t1: float) -> InputSeries:
-        """The samples of [t0, t1], s, and from where they end on the newest one."""
+        """The samples of [t0, t1], s; where they end before t1, the newest one is held to t1."""
         end = self.reach(t0)
         if end >= t1 - SAME_TIME or not self.samples:
             return self.series(t0, t1)
@@ -96,7 +98,7 @@ class InputBuffer:
         )
 
     def drop(self, t: float) -> None:
-        """Forget what ends before t, s, but for the newest of it."""
+        """Delete the samples that end by t, s, but the last of them, which may be held."""
         gone = bisect.bisect_right(self.samples, t, key=lambda s: s.t_end)
         del self.samples[: max(gone - 1, 0)]
 
@@ -113,8 +115,8 @@ class Inputs(dict[str, InputBuffer]):
         return ""
 
     def bridged(self, now: float, t: float) -> Iterator[InputSample | None]:
-        """Fill the gaps between `now` and t, s: what was put there, or None where nothing lies
-        beyond a gap."""
+        """Fill the gaps between `now` and t, s, one at a time: yields each sample put there,
+        or None, the last, for a gap without a sample after it."""
         for buffer in self.values():
             while (reach := buffer.reach(now)) < t - SAME_TIME:
                 filled = buffer.bridge(reach)
