@@ -15,6 +15,7 @@ from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
 from relnav_graph.estimators.rts import smooth
+from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
@@ -27,9 +28,6 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.maths.losses import Loss
 
-#: What may go wrong on the way to a solution, when the problem is in order.
-UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
-
 #: A step of fewer sigmas is none. Where rounding is more than that, as on long passes far from
 #: the target, it shows in steps that are small, in sigmas of a state, and stay as long.
 ROUNDING, SMALL, STALLED = 1e-7, 1e-3, 0.9
@@ -38,7 +36,7 @@ COST_ROUNDING = 1e-10
 #: Rounds of reweighting, at most, and the change of a weight's root that ends them.
 ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
 
-__all__ = ["UNSOLVED", "Batch", "Solution", "at_rounding", "solve"]
+__all__ = ["Batch", "Solution", "at_rounding", "solve"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Status, Track
 from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.source import Source
+from relnav_graph.estimators.source import Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
@@ -303,19 +303,11 @@ class Ekf:
 
     def drive(self, source: Source) -> Track:
         """Filter epochs as they come."""
-        engine, seconds = self.engine(source.problem), list[float]()
-        state = engine.begin()
-        try:
-            for epoch in source:
-                part, begun = source.assembly(), time.perf_counter()
-                state = engine.advance(state, epoch, part)
-                seconds.append(time.perf_counter() - begun)
-                source.take(state.x)
-        except EstimationError:  # as in the run below, which says so
-            pass
-        # The same steps once more, in one compiled call, keep all that a track tells of them.
-        track = self.run(source.whole())
-        return replace(track, runtime_s=sum(seconds), step_s=np.array(seconds))
+        driven = drive(source, self.engine(source.problem))
+        # The same steps once more, in one compiled call, keep all that a track tells of them, and
+        # say why they stopped where they did.
+        track = self.run(driven.problem)
+        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
 
     def run(self, problem: Problem) -> Track:
         """Filter the whole pass."""
