@@ -45,9 +45,9 @@ def command(
     """
     check_before_work(kinds, out)
     show_events()
-    run = open_pass(scenario, seed, data, assignments, number, loops=True)
-    found = compare_pass(run, kinds, show_progress)
+    opened = open_pass(scenario, seed, data, assignments, number, loops=True)
+    found = compare_pass(opened, kinds, show_progress)
     if out is not None:
         show_progress(f"writing {out} ...")
-        write_outputs(out, run, found, command_line())
+        write_outputs(out, opened, found, command_line())
     return report(found.summary, as_json)

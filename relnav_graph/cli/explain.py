@@ -16,15 +16,15 @@ from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.bounds import true_trajectory
 
 
-def _nominal(run: Pass) -> Array:
+def _nominal(opened: Pass) -> Array:
     """The truth; of recorded data without one, the batch estimate."""
     try:
-        return true_trajectory(run.problem, run.recording.truth)
+        return true_trajectory(opened.problem, opened.recording.truth)
     except InputError as error:
         show_progress(f"{error}: linearised at the batch estimate instead")
-    track = try_estimator("batch", run.problem)
+    track = try_estimator("batch", opened.problem)
     if track.status == "diverged":
-        raise InputError(f"{run.scenario.name}: no trajectory to linearise at: {track.message}")
+        raise InputError(f"{opened.scenario.name}: no trajectory to linearise at: {track.message}")
     return track.x
 
 
@@ -51,12 +51,12 @@ def command(
     from relnav_graph.scoring.text import explain_table
 
     show_events()
-    run = open_pass(scenario, seed, data, assignments)
+    opened = open_pass(scenario, seed, data, assignments)
     found = explain(
-        run.scenario.name,
-        run.problem,
-        _nominal(run),
-        derived_quantities(run.scenario.layout),
-        run.scenario.window(run.problem.times),
+        opened.scenario.name,
+        opened.problem,
+        _nominal(opened),
+        derived_quantities(opened.scenario.layout),
+        opened.scenario.window(opened.problem.times),
     )
     click.echo(json.dumps(found, allow_nan=False) if as_json else explain_table(found))

@@ -57,7 +57,7 @@ def _check_inputs(
     inputs: Mapping[str, Any],
     problems: Problems,
 ) -> None:
-    """A simulated pass needs a source for each input of its processes."""
+    """Note in `problems` each input of a process that a simulated pass has no instrument for."""
     for name, process in processes.items() if file.truth is not None else ():
         for needed in process.inputs:
             if needed not in inputs:
@@ -76,12 +76,12 @@ def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile |
 def make_scenario(
     raw: Mapping[str, Any], name: str, settings: Mapping[str, Any] | None = None
 ) -> Scenario:
-    """A scenario from its tables, over the settings that recorded data bring.
+    """A scenario from the tables of its file; they win over the `settings` of recorded data.
 
     Raises ScenarioError with everything that is wrong.
     """
     sections = {"processes", "sensors"}
-    # Before the data are read, what they will bring may be missing, and nothing else.
+    # Until the data are read, settings that they may bring count as present, not as missing.
     waiting = settings is None and "data" in raw
     merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
     problems: Problems = []

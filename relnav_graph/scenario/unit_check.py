@@ -1,8 +1,8 @@
 """Measurements given in another unit than the one in the name of their column.
 
-A wrong unit is wrong from the first measurement on, by a factor that people know: so a
-sensor's first one is held against what is expected of it, and where it fits only after such
-a factor, the error says which.
+A wrong unit is wrong from the first measurement on, by a familiar factor (deg for rad, km for
+m). So a sensor's first measurement is compared with its prediction, and where it fits only
+after such a factor, the error says which.
 """
 
 from __future__ import annotations
@@ -20,21 +20,22 @@ from relnav_graph.units import unit_scale
 
 __all__ = ["wrong_unit"]
 
-#: Units that people mean, by the end of a column's name, and its SI unit.
+#: The SI unit, and others given for it by mistake, by the end of a column's name.
 _MEANT = {
     "_rad_s": ("rad/s", ("deg/s", "deg/h")),
     "_m_s": ("m/s", ("km/s", "mm/s")),
     "_rad": ("rad", ("deg", "arcsec", "mrad")),
     "_m": ("m", ("km", "mm")),
 }
-#: Chance that a measurement in the right unit is called a misfit, in the wrong one a fit.
+#: Chi-square tail probabilities: below the first, a measurement does not fit as it is; above
+#: the second, it fits in another unit.
 _MISFIT, _FIT = 1e-9, 1e-3
 
 
 def _misfit(
     sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Array
 ) -> tuple[float, int]:
-    """Squared normalised innovation at the state x with covariance P, and its rows."""
+    """r^T S^-1 r with S = H P H^T + R at the state x (size,) of covariance P (n, n); rows of r."""
     values = layout.values(x)
     r, jacobians = sensor.residual(m, *(values[b.name] for b in sensor.reads))
     _, columns = layout.gather(sensor.reads)
