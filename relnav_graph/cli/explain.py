@@ -31,7 +31,7 @@ def _nominal(opened: Pass) -> Array:
 @click.command("explain")
 @click.argument("scenario", type=click.Path(path_type=Path))
 @click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
-@click.option("--data", type=click.Path(path_type=Path), help="Recorded data to use.")
+@click.option("--data", type=click.Path(path_type=Path), help="RecordedSource data to use.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(

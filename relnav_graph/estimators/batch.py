@@ -13,7 +13,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
+from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.estimators.trust import judge
@@ -58,7 +58,7 @@ class Solution:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pass:
+class _Linearisation:
     """A pass with everything fixed but the trajectory.
 
     made: the conditionals of all systems so far, memory that is used again.
@@ -144,7 +144,7 @@ def solve(
     """
     anchor = prior if isinstance(prior, Anchor) else anchor_of(prior)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
-    the_pass = _Pass(assembly, anchor, whiten, weights)
+    the_pass = _Linearisation(assembly, anchor, whiten, weights)
     best = system = the_pass.at(x)
     conditionals = system.conditionals
     damping, ventured, distance, iteration = 0.0, 0, np.inf, 0
@@ -252,14 +252,14 @@ def _reweighted(
     return solve(assembly, prior, solution.x, solution.weights, tolerance=tolerance)
 
 
-def _filtered(problem: Problem) -> FilterPass:
+def _filtered(problem: Problem) -> FilterSweep:
     """The filter's pass to start from. A gate that has closed on the wrong estimate leaves most
     observations out for good: then the pass of a filter with a robust loss instead."""
-    done = filter_pass(problem, ITERATIONS)
+    done = filter_problem(problem, ITERATIONS)
     if not problem.gates or done.verdict(problem)[0] == "ok":
         return done
     losses = {**problem.losses, **dict.fromkeys(problem.gates, Loss("huber"))}
-    robust = filter_pass(replace(problem, gates={}, losses=losses), ITERATIONS)
+    robust = filter_problem(replace(problem, gates={}, losses=losses), ITERATIONS)
     return done if robust.stopped else robust
 
 

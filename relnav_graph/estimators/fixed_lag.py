@@ -34,7 +34,7 @@ from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import Solution, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
-from relnav_graph.estimators.source import UNSOLVED, Recorded, Source, drive
+from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
@@ -250,7 +250,7 @@ class FixedLag:
 
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
-        return self.drive(Recorded(problem))
+        return self.drive(RecordedSource(problem))
 
     def drive(self, source: Source) -> Track:
         """Estimate epochs as they come."""

@@ -26,8 +26,8 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import Solution, solve, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, FilterState, filter_step
-from relnav_graph.estimators.source import UNSOLVED, Recorded, Source, drive
+from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
+from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
 from relnav_graph.linear.assembly import Assembly, process_rows
@@ -95,7 +95,7 @@ class SmootherState:
     references: tuple[Array, ...] = ()
     log: _Log = ()
     due: int = 1
-    done: FilterPass | None = None
+    done: FilterSweep | None = None
 
 
 class IncrementalSmoother:
@@ -187,7 +187,7 @@ class IncrementalSmoother:
         self.state = replace(self.state, log=self._tree_log)
         return tree
 
-    def _extend(self, done: FilterPass, before: Array) -> None:
+    def _extend(self, done: FilterSweep, before: Array) -> None:
         """Add the newest epoch to the tree, linearised where the filter has been in it;
         before (size,): the estimate at the epoch before, where the filter set out."""
         layout, key = self.problem.layout, self.state.count - 1
@@ -323,7 +323,7 @@ class Isam2:
 
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
-        return self.drive(Recorded(problem))
+        return self.drive(RecordedSource(problem))
 
     def drive(self, source: Source) -> Track:
         """Estimate epochs as they come."""

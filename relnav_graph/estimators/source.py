@@ -16,7 +16,7 @@ from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.linear.assembly import Assembly
 
-__all__ = ["UNSOLVED", "Driven", "Recorded", "Source", "drive"]
+__all__ = ["UNSOLVED", "Driven", "RecordedSource", "Source", "drive"]
 
 #: What may go wrong on the way to an estimate, when the problem is in order.
 UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
@@ -44,7 +44,7 @@ class Source(Protocol):
         """The problem with all epochs that have come."""
 
 
-class Recorded:
+class RecordedSource:
     """The epochs of a problem."""
 
     def __init__(self, problem: Problem) -> None:

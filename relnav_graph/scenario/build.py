@@ -28,7 +28,7 @@ from relnav_graph.scenario.schema import (
 )
 from relnav_graph.scenario.toml import merge, override, read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
-from relnav_graph.sim.contracts import ControlledTruth, Controller, SimulatedTruth
+from relnav_graph.sim.contracts import ControlledTruth, Controller, DrivenTruth, SimulatedTruth
 
 __all__ = [
     "load_scenario",
@@ -148,7 +148,7 @@ def _make_truth(
     if isinstance(raw.get("truth"), Mapping):
         own = shared_orbit(TRUTHS, raw["truth"], orbit)
         truth = make_kind(TRUTHS, "truth", own, problems)
-        if truth is not None and not isinstance(truth, SimulatedTruth):
+        if truth is not None and not isinstance(truth, SimulatedTruth | DrivenTruth):
             problems.append(("truth.kind", f"{own['kind']!r} is an input, expected a truth"))
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():

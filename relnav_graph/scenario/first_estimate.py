@@ -22,7 +22,7 @@ from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.batch import solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
+from relnav_graph.estimators.ekf import ITERATIONS, filter_problem
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly
@@ -174,7 +174,7 @@ def _extended(problem: Problem, hypothesis: Hypothesis, frames: int) -> Hypothes
     """The hypothesis over more frames: its first state, and half the squared residuals."""
     prior = Prior(hypothesis.x, problem.prior.P)
     short = replace(problem, prior=prior, epochs=problem.epochs[:frames])
-    done = filter_pass(short, ITERATIONS)
+    done = filter_problem(short, ITERATIONS)
     if done.stopped:
         return Hypothesis(hypothesis.x, np.inf)
     begin = smooth(done, covariances=False)[0]

@@ -16,7 +16,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError, ModelError
-from relnav_graph.estimators.source import Recorded, Source, drive
+from relnav_graph.estimators.source import RecordedSource, Source, drive
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths import dense, so3
 
@@ -92,7 +92,7 @@ class MomentumObserver:
 
     def run(self, problem: Problem) -> Track:
         """Observe the whole pass."""
-        return self.drive(Recorded(problem))
+        return self.drive(RecordedSource(problem))
 
     def drive(self, source: Source) -> Track:
         """Observe epochs as they come. Raises ModelError unless the state is an attitude and a
