@@ -113,7 +113,8 @@ class PositionFix(SensorModel):
 
 
 # 4. A sensor that sees several things at once, each with data of its own (here: where the
-# reflector is), and that can be impossible. `predict` and the kernel share one formula.
+# reflector is), and that can be impossible. The simulator, too, measures with the kernel: its
+# residual at z = 0 is the prediction.
 @jit
 def distance(point_o: Array, r_tc_o: Array) -> tuple[float, Array]:
     """Distance from a reflector, m, and the vector from it, (3,)."""
