@@ -34,15 +34,7 @@ _TORQUE_DENSITY, _INERTIA_DENSITY, MAX_STEP, _EULER, _KNOWN = 4, 5, 6, 7, 8
 
 @jit
 def _rotate(
-    p: Array,
-    t: float,
-    u: Array,
-    x: Array,
-    A: Array,
-    dA: Array,
-    x_next: Array,
-    F: Array,
-    Q: Array,
+    p: Array, t: float, u: Array, x: Array, A: Array, dA: Array, x_next: Array, F: Array, Q: Array
 ) -> None:
     """``R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot`` and w', for the kernels below.
 
