@@ -20,7 +20,7 @@ from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Truth
 from relnav_graph.estimators.batch import Solution, solve
-from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
+from relnav_graph.estimators.ekf import ITERATIONS, filter_problem
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario.build import load_scenario
@@ -70,7 +70,7 @@ def problem_of(epochs: int) -> Problem:
 
 def pass_of(problem: Problem) -> Pass:
     """With the smoothed filter to start from."""
-    done = filter_pass(problem, ITERATIONS)
+    done = filter_problem(problem, ITERATIONS)
     return Pass(problem, done.assembly, smooth(done, covariances=False)[0], done.weights)
 
 

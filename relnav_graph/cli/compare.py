@@ -23,7 +23,7 @@ from relnav_graph.runs.passes import open_pass
 @click.option("-e", "--estimator", "kinds", multiple=True, help="Estimator; may be repeated.")
 @click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
 @click.option("--run", "number", type=click.IntRange(0), default=0, help="Run of a study.")
-@click.option("--data", type=click.Path(path_type=Path), help="Recorded data to use.")
+@click.option("--data", type=click.Path(path_type=Path), help="RecordedSource data to use.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for results.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -45,9 +45,9 @@ def command(
     """
     check_before_work(kinds, out)
     show_events()
-    run = open_pass(scenario, seed, data, assignments, number, loops=True)
-    found = compare_pass(run, kinds, show_progress)
+    opened = open_pass(scenario, seed, data, assignments, number, loops=True)
+    found = compare_pass(opened, kinds, show_progress)
     if out is not None:
         show_progress(f"writing {out} ...")
-        write_outputs(out, run, found, command_line())
+        write_outputs(out, opened, found, command_line())
     return report(found.summary, as_json)

@@ -36,16 +36,16 @@ def command(
         return
     show_events()
     if is_dataset(source):
-        run = open_dataset(source, assignments)
+        opened = open_dataset(source, assignments)
     elif scenario is not None:
-        run = open_pass(scenario, None, source, assignments)
+        opened = open_pass(scenario, None, source, assignments)
     elif source.is_dir():
         raise InputError(f"{source}: no scenario.toml in it; a raw folder needs --scenario")
     else:
         raise InputError(f"{source}: found nothing, expected a results file or a folder")
-    blocks = {b.name: b for b in run.scenario.layout}
+    blocks = {b.name: b for b in opened.scenario.layout}
     tables: Format = "parquet" if parquet else "csv"
-    s = run.scenario
-    stamped = run.recording.shifted(s.file.time.origin)
+    s = opened.scenario
+    stamped = opened.recording.shifted(s.file.time.origin)
     write_dataset(target, s.raw, stamped, s.sensors, s.input_columns, blocks, tables)
-    show_progress(f"{target}: {len(run.recording.times)} epochs")
+    show_progress(f"{target}: {len(opened.recording.times)} epochs")

@@ -16,22 +16,22 @@ from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.bounds import true_trajectory
 
 
-def _nominal(run: Pass) -> Array:
+def _nominal(opened: Pass) -> Array:
     """The truth; of recorded data without one, the batch estimate."""
     try:
-        return true_trajectory(run.problem, run.recording.truth)
+        return true_trajectory(opened.problem, opened.recording.truth)
     except InputError as error:
         show_progress(f"{error}: linearised at the batch estimate instead")
-    track = try_estimator("batch", run.problem)
+    track = try_estimator("batch", opened.problem)
     if track.status == "diverged":
-        raise InputError(f"{run.scenario.name}: no trajectory to linearise at: {track.message}")
+        raise InputError(f"{opened.scenario.name}: no trajectory to linearise at: {track.message}")
     return track.x
 
 
 @click.command("explain")
 @click.argument("scenario", type=click.Path(path_type=Path))
 @click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
-@click.option("--data", type=click.Path(path_type=Path), help="Recorded data to use.")
+@click.option("--data", type=click.Path(path_type=Path), help="RecordedSource data to use.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
@@ -51,12 +51,12 @@ def command(
     from relnav_graph.scoring.text import explain_table
 
     show_events()
-    run = open_pass(scenario, seed, data, assignments)
+    opened = open_pass(scenario, seed, data, assignments)
     found = explain(
-        run.scenario.name,
-        run.problem,
-        _nominal(run),
-        derived_quantities(run.scenario.layout),
-        run.scenario.window(run.problem.times),
+        opened.scenario.name,
+        opened.problem,
+        _nominal(opened),
+        derived_quantities(opened.scenario.layout),
+        opened.scenario.window(opened.problem.times),
     )
     click.echo(json.dumps(found, allow_nan=False) if as_json else explain_table(found))

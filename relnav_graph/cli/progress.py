@@ -18,7 +18,7 @@ _INTERVAL = 5.0
 
 
 class _Lines:
-    """A line now and then, and for each event that matters."""
+    """A line every `_INTERVAL` seconds, at the end, and for each event with a note."""
 
     def __init__(self) -> None:
         self._begun = self._last = time.monotonic()

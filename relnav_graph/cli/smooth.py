@@ -36,8 +36,8 @@ def command(
     """Smooth the pass recorded in DATASET, by the scenario that lies in it."""
     check_before_work(kinds, out)
     show_events()
-    run = open_dataset(dataset, assignments)
-    found = compare_pass(run, kinds or ("batch",), show_progress)
+    opened = open_dataset(dataset, assignments)
+    found = compare_pass(opened, kinds or ("batch",), show_progress)
     show_progress(f"writing {out} ...")
-    write_outputs(out, run, found, command_line())
+    write_outputs(out, opened, found, command_line())
     return report(found.summary, as_json)

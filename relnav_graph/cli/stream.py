@@ -19,7 +19,13 @@ from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.streaming.journal import Journal, Policy
 from relnav_graph.streaming.lines import Header, header_of, prior_values
 from relnav_graph.streaming.output import Output
-from relnav_graph.streaming.run import Interrupted, Interrupts, Recorder, journaled_header, run
+from relnav_graph.streaming.run import (
+    Interrupted,
+    Interrupts,
+    JournaledSession,
+    journaled_header,
+    run,
+)
 from relnav_graph.streaming.session import Options, Session
 from relnav_graph.streaming.sources import Source, open_source
 
@@ -94,18 +100,18 @@ def command(
             if journal is not None:
                 journal.belongs_to({**identity, "options": vars(options)})
             resumed = journal is not None and bool(journal.snapshot)
-            recorder = Recorder(session, journal, snapshot_every)
+            journaled = JournaledSession(session, journal, snapshot_every)
             output = stack.enter_context(closing(Output(out, resumed, interrupts)))
             stack.enter_context(threadpool_limits(1, "blas"))
             stack.enter_context(np.errstate(over="ignore", invalid="ignore"))
-            run(recorder, _lines(source, incoming, recorder, first), output, interrupts)
+            run(journaled, _lines(source, incoming, journaled, first), output, interrupts)
         except Interrupted as stop:
             show_progress(f"ended by {stop}" + ("" if folder is None else "; the journal is whole"))
             return 128 + stop.number
         except BrokenPipeError:
             show_progress("the reader of the output has left")
             return 3
-    return _verdict(session, recorder, allow_rejects)
+    return _verdict(session, journaled, allow_rejects)
 
 
 def _opening(
@@ -123,11 +129,11 @@ def _opening(
 
 
 def _lines(
-    source: Source, lines: Iterator[bytes | None], recorder: Recorder, first: list[bytes]
+    source: Source, lines: Iterator[bytes | None], journaled: JournaledSession, first: list[bytes]
 ) -> Iterator[bytes | None]:
     """All lines, or those that the journal does not have."""
     if not first:
-        source.skip(recorder.offset)
+        source.skip(journaled.offset)
     yield from first
     yield from lines
 
@@ -141,11 +147,11 @@ def new_session(scenario: Scenario, kind: str, header: Header, options: Options)
     return Session(problem, online(kind, problem), header, options, measured, origin)
 
 
-def _verdict(session: Session, recorder: Recorder, allow_rejects: bool) -> int:
+def _verdict(session: Session, journaled: JournaledSession, allow_rejects: bool) -> int:
     """Say on standard error what was not used; the exit code."""
     show_progress(f"{session.lines} lines in, {session.seq} out; at last {session.status}")
-    if recorder.skipped:
-        show_progress(f"{recorder.skipped} lines came again and were skipped")
+    if journaled.skipped:
+        show_progress(f"{journaled.skipped} lines came again and were skipped")
     for caution in session.cautions:
         show_progress(f"caution: {caution}")
     for sensor, counts in session.rejected.items():

@@ -29,15 +29,15 @@ def command(file: Path | None, assignments: tuple[str, ...], schema: bool) -> No
         raise click.UsageError("Missing argument 'FILE'.")
     if file.is_dir():
         show_events()
-        run = open_dataset(file, assignments)
-        _ = run.problem  # it raises what is wrong with the recording
+        opened = open_dataset(file, assignments)
+        _ = opened.problem  # it raises what is wrong with the recording
         counted: dict[str, int] = {}
-        for m in run.recording.measurements:
+        for m in opened.recording.measurements:
             counted[m.sensor] = counted.get(m.sensor, 0) + len(m.z)
         for name, count in counted.items():
             click.echo(f"{name}: {count} observations")
-        click.echo(f"epochs: {len(run.recording.times)}")
-        _describe(file, run.scenario, run.problem.cautions)
+        click.echo(f"epochs: {len(opened.recording.times)}")
+        _describe(file, opened.scenario, opened.problem.cautions)
     else:
         scenario = load_scenario(file, assignments)
         _describe(file, scenario, scenario.cautions)

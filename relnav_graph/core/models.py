@@ -155,22 +155,35 @@ class SensorModel:
         Raises GeometryError when an observation is impossible at this state, InputError
         on values of the wrong shape, ModelError when the kernel leaves an entry unfilled.
         """
-        packed = _pack(self.reads, x, self.kind)
+        r, jacobian = self._call(f"at t = {m.t} s", m.ids, self.accept(m.z), x)
         dims = [b.dim for b in self.reads]
-        p, q = self.constants(), self.observation_data(m.ids)
-        z = self.accept(m.z)
-        r, jacobian = np.empty((len(z), self.rows)), np.empty((len(z), self.rows, sum(dims)))
+        stacked = jacobian.reshape(-1, sum(dims))
+        return r.reshape(-1), tuple(np.split(stacked, np.cumsum(dims)[:-1], axis=1))
+
+    def predict(self, ids: Indices, *x: Array) -> Array:
+        """z = h(x) (k, nz) of k observations, for a sensor whose residual is h(x) - z: the
+        kernel's residual at z = 0.
+
+        ids: (k,); x: one value per block read, (3, 3) or (dim,), SI, in the block's frame.
+        Raises GeometryError when an observation is impossible at this state.
+        """
+        return self._call("", ids, np.zeros((len(ids), len(self.columns))), x)[0]
+
+    def _call(self, where: str, ids: Indices, z: Array, x: Sequence[Array]) -> tuple[Array, Array]:
+        """Residuals (k, rows) of observations z (k, nz), and Jacobians (k, rows, dims read)."""
+        packed = _pack(self.reads, x, self.kind)
+        p, q = self.constants(), self.observation_data(ids)
+        r = np.empty((len(z), self.rows))
+        jacobian = np.empty((len(z), self.rows, sum(b.dim for b in self.reads)))
         for k in range(len(z)):
             outputs = _Outputs(self.kind, r=r[k].shape, H=jacobian[k].shape)
             status = self.kernel(p, q[k], z[k], packed, *outputs.arrays)
             if status:
-                raise GeometryError(
-                    f"{self.kind}: id {m.ids[k]} at t = {m.t} s: {self.failure(status)}"
-                )
+                at = f"{self.kind}: id {ids[k]} {where}".rstrip()
+                raise GeometryError(f"{at}: {self.failure(status)}")
             outputs.check()
             r[k], jacobian[k] = outputs.arrays
-        stacked = jacobian.reshape(-1, sum(dims))
-        return r.reshape(-1), tuple(np.split(stacked, np.cumsum(dims)[:-1], axis=1))
+        return r, jacobian
 
 
 class DynamicsModel:

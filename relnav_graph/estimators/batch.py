@@ -13,8 +13,9 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.track import Status, Track
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
+from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.estimators.rts import smooth
+from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
@@ -27,9 +28,6 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.maths.losses import Loss
 
-#: What may go wrong on the way to a solution, when the problem is in order.
-UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
-
 #: A step of fewer sigmas is none. Where rounding is more than that, as on long passes far from
 #: the target, it shows in steps that are small, in sigmas of a state, and stay as long.
 ROUNDING, SMALL, STALLED = 1e-7, 1e-3, 0.9
@@ -38,7 +36,7 @@ COST_ROUNDING = 1e-10
 #: Rounds of reweighting, at most, and the change of a weight's root that ends them.
 ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
 
-__all__ = ["UNSOLVED", "Batch", "Solution", "at_rounding", "solve"]
+__all__ = ["Batch", "Solution", "at_rounding", "solve"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +58,7 @@ class Solution:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pass:
+class _Linearisation:
     """A pass with everything fixed but the trajectory.
 
     made: the conditionals of all systems so far, memory that is used again.
@@ -146,7 +144,7 @@ def solve(
     """
     anchor = prior if isinstance(prior, Anchor) else anchor_of(prior)
     whiten = assembly.whitening(assembly.transition(x[:-1])[2])
-    the_pass = _Pass(assembly, anchor, whiten, weights)
+    the_pass = _Linearisation(assembly, anchor, whiten, weights)
     best = system = the_pass.at(x)
     conditionals = system.conditionals
     damping, ventured, distance, iteration = 0.0, 0, np.inf, 0
@@ -254,14 +252,14 @@ def _reweighted(
     return solve(assembly, prior, solution.x, solution.weights, tolerance=tolerance)
 
 
-def _filtered(problem: Problem) -> FilterPass:
+def _filtered(problem: Problem) -> FilterSweep:
     """The filter's pass to start from. A gate that has closed on the wrong estimate leaves most
     observations out for good: then the pass of a filter with a robust loss instead."""
-    done = filter_pass(problem, ITERATIONS)
+    done = filter_problem(problem, ITERATIONS)
     if not problem.gates or done.verdict(problem)[0] == "ok":
         return done
     losses = {**problem.losses, **dict.fromkeys(problem.gates, Loss("huber"))}
-    robust = filter_pass(replace(problem, gates={}, losses=losses), ITERATIONS)
+    robust = filter_problem(replace(problem, gates={}, losses=losses), ITERATIONS)
     return done if robust.stopped else robust
 
 

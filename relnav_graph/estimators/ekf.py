@@ -14,7 +14,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Status, Track
 from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.source import Source
+from relnav_graph.estimators.source import Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
@@ -35,10 +35,10 @@ from relnav_graph.linear.filter import (
 
 __all__ = [
     "Ekf",
-    "FilterPass",
     "FilterState",
+    "FilterSweep",
     "IteratedEkf",
-    "filter_pass",
+    "filter_problem",
     "filter_step",
     "run_filter",
 ]
@@ -63,7 +63,7 @@ class FilterState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class FilterPass:
+class FilterSweep:
     """A filter's way through epochs.
 
     By epoch: x_predicted (N, size) and P_predicted (N, n, n); F since the epoch before, zero
@@ -155,7 +155,7 @@ def run_filter(
     start: FilterState | None = None,
     keep: bool = True,
     seconds: list[float] | None = None,
-) -> FilterPass:
+) -> FilterSweep:
     """Filter the epochs of an assembly, or as many as the filter survives.
 
     iterations: Gauss-Newton steps of each measurement update; start: where the filter stands
@@ -197,7 +197,7 @@ def run_filter(
         if seconds is not None:
             seconds.append(time.perf_counter() - begun)
     why = _why(assembly, failure)
-    return FilterPass(assembly, **out._asdict(), end=at, reached=reached, stopped=why)
+    return FilterSweep(assembly, **out._asdict(), end=at, reached=reached, stopped=why)
 
 
 def filter_step(
@@ -206,7 +206,7 @@ def filter_step(
     state: FilterState,
     epoch: Epoch,
     assembly: Assembly | None = None,
-) -> FilterPass:
+) -> FilterSweep:
     """Predict from a state to an epoch and update with its measurements.
 
     assembly: of this epoch, where the caller has it already. The new state is the `end` of
@@ -246,7 +246,7 @@ class KalmanState:
     t: float | None
     x: Array
     P: Array
-    done: FilterPass | None = None
+    done: FilterSweep | None = None
 
 
 class KalmanEngine:
@@ -279,9 +279,9 @@ class KalmanEngine:
         return KalmanState(None if np.isnan(t) else t, np.array(arrays["x"]), np.array(arrays["P"]))
 
 
-def filter_pass(
+def filter_problem(
     problem: Problem, iterations: int, keep: bool = True, seconds: list[float] | None = None
-) -> FilterPass:
+) -> FilterSweep:
     """Filter all epochs, or as many as the filter survives; see `run_filter`."""
     assembly = Assembly.of(problem)
     return run_filter(problem, iterations, assembly, None, keep, seconds)
@@ -303,24 +303,16 @@ class Ekf:
 
     def drive(self, source: Source) -> Track:
         """Filter epochs as they come."""
-        engine, seconds = self.engine(source.problem), list[float]()
-        state = engine.begin()
-        try:
-            for epoch in source:
-                part, begun = source.assembly(), time.perf_counter()
-                state = engine.advance(state, epoch, part)
-                seconds.append(time.perf_counter() - begun)
-                source.take(state.x)
-        except EstimationError:  # as in the run below, which says so
-            pass
-        # The same steps once more, in one compiled call, keep all that a track tells of them.
-        track = self.run(source.whole())
-        return replace(track, runtime_s=sum(seconds), step_s=np.array(seconds))
+        driven = drive(source, self.engine(source.problem))
+        # The same steps once more, in one compiled call, keep all that a track tells of them, and
+        # say why they stopped where they did.
+        track = self.run(driven.problem)
+        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
 
     def run(self, problem: Problem) -> Track:
         """Filter the whole pass."""
         start, seconds = time.perf_counter(), list[float]()
-        done = filter_pass(problem, self.iterations, keep=False, seconds=seconds)
+        done = filter_problem(problem, self.iterations, keep=False, seconds=seconds)
         status, message = done.verdict(problem)
         return Track(
             name=self.kind,

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,11 +30,11 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.packing import pack, under, unpack
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Status, Track
+from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import UNSOLVED, Solution, solve_gated
+from relnav_graph.estimators.batch import Solution, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
-from relnav_graph.estimators.source import Recorded, Source
+from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
@@ -250,71 +250,74 @@ class FixedLag:
 
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
-        return self.drive(Recorded(problem))
+        return self.drive(RecordedSource(problem))
 
     def drive(self, source: Source) -> Track:
         """Estimate epochs as they come."""
-        engine, layout, count = self.engine(source.problem), source.problem.layout, source.count
-        state = engine.begin()
-        x, smoothed_x = np.full((2, count, layout.size), np.nan)
-        P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
-        seconds, misfit, used, behind = list[float](), 0.0, 0, 0
-        # Weights: of the newest epoch, as it left, in the end.
-        first, last, final, failed = list[Array](), list[Array](), list[Array](), ""
-        try:
-            for k, epoch in enumerate(source):
-                part, begun = source.assembly(), time.perf_counter()
-                state = engine.advance(state, epoch, part)
-                seconds.append(time.perf_counter() - begun)
-                x[k], P[k], done = state.x, state.P, state.done
-                source.take(state.x)
-                assert done is not None
-                misfit, used = misfit + float(done.nis[0]), used + int(done.used[0])
-                first.append(done.weights)
-                if state.left is not None:
-                    gone = slice(behind, behind + len(state.left.t))
-                    smoothed_x[gone] = state.left.x
-                    smoothed_P[gone] = state.left.covariances()
-                    last.append(state.left.weights)
-                    behind = gone.stop
-        except UNSOLVED as error:
-            failed = str(error)
-        problem, ended = source.whole(), time.perf_counter()
-        reached, assembly = len(problem.epochs), Assembly.of(problem)
-        status: Status = "diverged"
-        try:
-            if failed:
-                raise EstimationError(failed)
-            assert state.chain is not None
-            end = engine.solve(state, state.chain.estimates(layout))
-            final = [end.weights]
-            smoothed_x[behind:reached] = end.x[behind - reached :]
-            smoothed_P[behind:reached] = end.conditionals.covariances()[behind - reached :]
-            status, message = judge(lost(assembly, np.concatenate(first)), problem, misfit, used)
-        except UNSOLVED as error:
-            message = str(error)
-        own: dict[str, Any] = {"layout": layout, "t": problem.times}
-        own |= {"status": status, "message": message}
-        smoothed = Track(
+        engine = self.engine(source.problem)
+        kept = _Kept(engine.begin())
+        done, begun = drive(source, engine, kept.notice), time.perf_counter()
+        problem, assembly = done.problem, Assembly.of(done.problem)
+        x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
+        if kept.x:
+            behind = sum(len(part) for part in kept.x)
+            x[:behind], P[:behind] = np.concatenate(kept.x), np.concatenate(kept.P)
+        status, message, last = "diverged", done.stopped, kept.weights
+        if not done.stopped:
+            try:
+                inside, chain = len(kept.newest.epochs), kept.newest.chain
+                assert chain is not None
+                end = engine.solve(kept.newest, chain.estimates(problem.layout))
+                last = [*last, end.weights]
+                x[-inside:] = end.x[-inside:]
+                P[-inside:] = end.conditionals.covariances()[-inside:]
+                away = lost(assembly, np.concatenate(kept.first))
+                status, message = judge(away, problem, kept.misfit, kept.used)
+            except UNSOLVED as error:
+                message = str(error)
+        found = {"status": status, "message": message}
+        track = done.track(self.kind, **found, **_counts(assembly, kept.first))
+        smoothed = replace(
+            track,
             name=f"{self.kind}_smoothed",
             kind="fixed-lag",
-            x=smoothed_x[:reached],
-            P=smoothed_P[:reached],
-            runtime_s=sum(seconds) + time.perf_counter() - ended,
-            **_counts(assembly, [*last, *final]),
-            **own,
+            x=x,
+            P=P,
+            runtime_s=track.runtime_s + time.perf_counter() - begun,
+            step_s=None,
+            **_counts(assembly, last),
         )
-        return Track(
-            name=self.kind,
-            kind="filtered",
-            x=x[:reached],
-            P=P[:reached],
-            runtime_s=sum(seconds),
-            step_s=np.array(seconds),
-            smoothed=smoothed,
-            **_counts(assembly, first),
-            **own,
-        )
+        return replace(track, smoothed=smoothed)
+
+
+@dataclass
+class _Kept:
+    """What is wanted, when all epochs have come, of the windows on the way.
+
+    newest: the last one; misfit, used: normalised innovations squared, and their number, of all
+    epochs; first: weights of each epoch when it was the newest; x, P, weights: of each part of
+    the pass as it left.
+    """
+
+    newest: Window
+    misfit: float = 0.0
+    used: int = 0
+    first: list[Array] = field(default_factory=list)
+    x: list[Array] = field(default_factory=list)
+    P: list[Array] = field(default_factory=list)
+    weights: list[Array] = field(default_factory=list)
+
+    def notice(self, w: Window) -> None:
+        """Keep what is wanted of one more window."""
+        assert w.done is not None
+        self.newest = w
+        self.misfit += float(w.done.nis[0])
+        self.used += int(w.done.used[0])
+        self.first.append(w.done.weights)
+        if w.left is not None:
+            self.x.append(w.left.x)
+            self.P.append(w.left.covariances())
+            self.weights.append(w.left.weights)
 
 
 def _counts(assembly: Assembly, weights: Sequence[Array]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import gtsam
 import numpy as np
@@ -23,11 +23,11 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Status, Track
+from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import UNSOLVED, Solution, solve, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, FilterState, filter_step
-from relnav_graph.estimators.source import Recorded, Source
+from relnav_graph.estimators.batch import Solution, solve, solve_gated
+from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
+from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
 from relnav_graph.linear.assembly import Assembly, process_rows
@@ -95,7 +95,7 @@ class SmootherState:
     references: tuple[Array, ...] = ()
     log: _Log = ()
     due: int = 1
-    done: FilterPass | None = None
+    done: FilterSweep | None = None
 
 
 class IncrementalSmoother:
@@ -187,7 +187,7 @@ class IncrementalSmoother:
         self.state = replace(self.state, log=self._tree_log)
         return tree
 
-    def _extend(self, done: FilterPass, before: Array) -> None:
+    def _extend(self, done: FilterSweep, before: Array) -> None:
         """Add the newest epoch to the tree, linearised where the filter has been in it;
         before (size,): the estimate at the epoch before, where the filter set out."""
         layout, key = self.problem.layout, self.state.count - 1
@@ -323,57 +323,40 @@ class Isam2:
 
     def run(self, problem: Problem) -> Track:
         """Estimate the pass epoch by epoch."""
-        return self.drive(Recorded(problem))
+        return self.drive(RecordedSource(problem))
 
     def drive(self, source: Source) -> Track:
         """Estimate epochs as they come."""
-        smoother = IncrementalSmoother(source.problem, self.ratio)
-        layout, count = source.problem.layout, source.count
-        seconds, failed = list[float](), ""
-        x, smoothed_x = np.full((2, count, layout.size), np.nan)
-        P, smoothed_P = np.full((2, count, layout.dim, layout.dim), np.nan)
-        try:
-            for k, epoch in enumerate(source):
-                part, begun = source.assembly(), time.perf_counter()
-                x[k], P[k] = smoother.step(epoch, part)
-                seconds.append(time.perf_counter() - begun)
-                source.take(x[k])
-        except UNSOLVED as error:
-            failed = str(error)
-        problem, ended = source.whole(), time.perf_counter()
-        reached = len(problem.epochs)
+        smoother = self.engine(source.problem)
+        done, begun = drive(source, smoother), time.perf_counter()
+        problem, status, message = done.problem, "diverged", done.stopped
+        x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
-        status: Status = "diverged"
-        try:
-            if failed:
-                raise EstimationError(failed)
-            assembly, solution = smoother.finish()
-            smoothed_x, smoothed_P = solution.x, solution.conditionals.covariances()
-            rejected |= count_rejected(assembly, solution.weights)
-            downweighted = count_downweighted(assembly, solution.weights)
-            away = lost(assembly, solution.weights)
-            rows = assembly.rows_of(solution.weights > 0)
-            status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
-        except UNSOLVED as error:
-            message = str(error)
-        own: dict[str, Any] = {"layout": layout, "t": problem.times}
-        own |= {"status": status, "message": message}
-        own |= {"rejected": rejected, "downweighted": downweighted}
-        smoothed = Track(
+        if not done.stopped:
+            try:
+                assembly, solution = smoother.finish()
+                x, P = solution.x, solution.conditionals.covariances()
+                rejected |= count_rejected(assembly, solution.weights)
+                downweighted = count_downweighted(assembly, solution.weights)
+                away = lost(assembly, solution.weights)
+                rows = assembly.rows_of(solution.weights > 0)
+                status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
+            except UNSOLVED as error:
+                message = str(error)
+        track = done.track(
+            self.kind,
+            status=status,
+            message=message,
+            rejected=rejected,
+            downweighted=downweighted,
+        )
+        smoothed = replace(
+            track,
             name=f"{self.kind}_smoothed",
             kind="smoothed",
-            x=smoothed_x[:reached],
-            P=smoothed_P[:reached],
-            runtime_s=sum(seconds) + time.perf_counter() - ended,
-            **own,
+            x=x,
+            P=P,
+            runtime_s=track.runtime_s + time.perf_counter() - begun,
+            step_s=None,
         )
-        return Track(
-            name=self.kind,
-            kind="filtered",
-            x=x[:reached],
-            P=P[:reached],
-            runtime_s=sum(seconds),
-            step_s=np.array(seconds),
-            smoothed=smoothed,
-            **own,
-        )
+        return replace(track, smoothed=smoothed)

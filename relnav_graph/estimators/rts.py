@@ -12,14 +12,14 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.ekf import ITERATIONS, FilterPass, filter_pass
+from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.linear.filter import FAILURES
 from relnav_graph.linear.rts import backward
 
 __all__ = ["Rts", "smooth"]
 
 
-def smooth(done: FilterPass, covariances: bool = True) -> tuple[Array, Array]:
+def smooth(done: FilterSweep, covariances: bool = True) -> tuple[Array, Array]:
     """Smoothed states (N, size) and covariances (N, n, n) of a filter's whole pass.
 
     covariances: whether they are wanted; without, there are none. Raises EstimationError
@@ -47,7 +47,7 @@ class Rts:
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
         start = time.perf_counter()
-        done = filter_pass(problem, self.iterations)
+        done = filter_problem(problem, self.iterations)
         x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         status, message = done.verdict(problem)
         if not done.stopped:

@@ -1,16 +1,25 @@
-"""Where an estimator that takes one epoch at a time gets them from."""
+"""Where an estimator gets epochs from, one at a time, and the loop that takes them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Protocol
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
+from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.linear.assembly import Assembly
 
-__all__ = ["Recorded", "Source"]
+__all__ = ["UNSOLVED", "Driven", "RecordedSource", "Source", "drive"]
+
+#: What may go wrong on the way to an estimate, when the problem is in order.
+UNSOLVED = (EstimationError, GeometryError, np.linalg.LinAlgError)
 
 
 class Source(Protocol):
@@ -35,7 +44,7 @@ class Source(Protocol):
         """The problem with all epochs that have come."""
 
 
-class Recorded:
+class RecordedSource:
     """The epochs of a problem."""
 
     def __init__(self, problem: Problem) -> None:
@@ -56,3 +65,78 @@ class Recorded:
     def whole(self) -> Problem:
         """The problem itself."""
         return self.problem
+
+
+class _State(Protocol):
+    """Where an estimator stands: the newest estimate x (size,) and its covariance P (n, n)."""
+
+    @property
+    def x(self) -> Array: ...
+    @property
+    def P(self) -> Array: ...
+
+
+S = TypeVar("S", bound=_State)
+
+
+class _Engine(Protocol[S]):
+    """How an estimator gets from one state to the next."""
+
+    def begin(self) -> S: ...
+    def advance(self, state: S, epoch: Epoch, assembly: Assembly | None = None) -> S: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """What an estimator said while epochs came.
+
+    problem: all N epochs that came; x (N, size), P (N, n, n): its estimate at each, NaN after it
+    stopped; step_s (steps,): how long each step took, s; stopped: why it stopped, or "".
+    """
+
+    problem: Problem
+    x: Array
+    P: Array
+    step_s: Array
+    stopped: str
+
+    def track(self, kind: str, **found: Any) -> Track:
+        """The track of these estimates, with what else is known of it (status, smoothed, ...)."""
+        return Track(
+            name=kind,
+            kind="filtered",
+            layout=self.problem.layout,
+            t=self.problem.times,
+            x=self.x,
+            P=self.P,
+            runtime_s=float(self.step_s.sum()),
+            step_s=self.step_s,
+            **found,
+        )
+
+
+def drive(
+    source: Source, engine: _Engine[S], notice: Callable[[S], object] | None = None
+) -> Driven:
+    """Take each epoch of a source when it comes, and tell the source the estimate there.
+
+    notice: is told each new state. An epoch without an estimate (see `UNSOLVED`) ends the drive,
+    and the result says why.
+    """
+    layout, count = source.problem.layout, source.count
+    x, P = np.full((count, layout.size), np.nan), np.full((count, layout.dim, layout.dim), np.nan)
+    seconds, stopped, state = list[float](), "", engine.begin()
+    try:
+        for k, epoch in enumerate(source):
+            part, begun = source.assembly(), time.perf_counter()
+            state = engine.advance(state, epoch, part)
+            seconds.append(time.perf_counter() - begun)
+            x[k], P[k] = state.x, state.P
+            source.take(state.x)
+            if notice is not None:
+                notice(state)
+    except UNSOLVED as error:
+        stopped = str(error)
+    problem = source.whole()
+    reached = len(problem.epochs)
+    return Driven(problem, x[:reached], P[:reached], np.array(seconds), stopped)

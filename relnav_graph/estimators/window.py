@@ -11,7 +11,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.ekf import FilterPass
+from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, Conditionals, linearize
 
@@ -92,7 +92,7 @@ class Window:
     parts: tuple[Assembly, ...] = ()
     weights: tuple[Array, ...] = ()
     chain: Chain | None = None
-    done: FilterPass | None = None
+    done: FilterSweep | None = None
     left: Left | None = None
 
     @property

@@ -59,7 +59,7 @@ __all__ = [
 Columns = Mapping[str, NDArray[Any]]
 
 _FORMAT = 1
-#: Measurements this close to an epoch, s, belong to it (as in `problem.make_epochs`).
+#: Deviation of a quaternion's length from one that is accepted.
 _UNIT_QUATERNION = 1e-6
 
 
@@ -113,7 +113,7 @@ def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
 
 
 def _on_epochs(truth: Truth, times: Array) -> Truth:
-    """The truth with rows of NaN added at those of `times` (N,), s, that it lacks."""
+    """The truth, with a row of NaN added at each of `times` (N,), s, that it lacks."""
     padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
     right = np.searchsorted(padded, times)
     apart = np.minimum(times - padded[right - 1], padded[right] - times)
@@ -191,7 +191,7 @@ def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement]) -> Array:
-    """Times of the epochs; every observation must fall on one."""
+    """Times of the epochs (N,), s. Raises InputError on an observation between epochs."""
     epochs = read_table(folder, "epochs")
     if epochs is None:
         times = np.array([m.t for m in measurements])
@@ -321,10 +321,10 @@ def write_dataset(
 ) -> None:
     """Write a recording and its scenario as a data set; reading gives the same numbers.
 
-    blocks: definitions of the blocks of the truth; a truth without one is left out, since
-    its units are not known. A data set that stands in `folder` is replaced. Raises
-    InputError when other files stand there, when nothing can be written, or when the
-    recording has a sensor or an input that is not known.
+    blocks: definitions of the blocks of the truth; a true quantity without one is left out,
+    since its units are not known. tables: format of the tables. A data set that stands in
+    `folder` is replaced. Raises InputError when other files stand there, when nothing can be
+    written, or when the recording has a sensor or an input that is not known.
     """
     folder = Path(folder)
     if folder.is_dir() and any(folder.iterdir()) and not _is_dataset(folder):

@@ -21,9 +21,12 @@ _FORMAT, _VERSION = "relnav-graph pass", 1
 
 @dataclass(frozen=True)
 class PassManifest:
-    """name and raw: the scenario and its tables, settings of the data included; seed and
-    run: of what was drawn; simulated: whether the recording was; versions: of what made
-    it; command: that made it, empty where it was not the command line."""
+    """What results of one pass were made from.
+
+    name, raw: the scenario and its TOML tables, settings of the data included; seed, run: of
+    the draw; simulated: whether the recording was drawn too; versions: of the packages;
+    command: the command line, empty where there was none.
+    """
 
     name: str
     raw: Mapping[str, Any]

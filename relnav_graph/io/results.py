@@ -1,9 +1,9 @@
 """Results: tracks and truth in one NetCDF-4 file, or tracks as CSV tables.
 
-Each track is a group of its name, what it ends with smoothed a group ``NAME_smoothed``,
-the truth a group ``truth``, or ``NAME_truth`` of a pass that one has flown itself. Attitudes
-are kept as quaternions, covariances as they are.
-The definitions of the blocks stand beside the numbers, so that reading needs nothing else.
+Each track is a group of its name. The smoothed track that an online estimator ends with is a
+group ``NAME_smoothed``; the truth a group ``truth``, or ``NAME_truth`` where the estimator flew
+a pass of its own. Attitudes are stored as quaternions, covariances in tangent coordinates. The
+definitions of the blocks stand beside the numbers, so that reading needs nothing else.
 """
 
 from __future__ import annotations

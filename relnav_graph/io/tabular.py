@@ -65,7 +65,7 @@ def from_components(block: Block, components: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Finite columns of one file, and the line that each row stands in."""
+    """Columns (rows,) of one file, by name, and lines (rows,): the line number of each row."""
 
     path: Path
     columns: Mapping[str, Array]

@@ -65,7 +65,7 @@ def _cells(texts: Iterable[Any]) -> list[Cell]:
 
 
 def _inside(value: float | None, band: Sequence[float] | None, digits: int = 3) -> Cell:
-    """A mean square with whether it lies in its band."""
+    """A mean normalised square, marked good inside its band and bad outside."""
     if value is None or band is None:
         return Cell(number(value, digits))
     return Cell(number(value, digits), "good" if band[0] <= value <= band[1] else "bad")
@@ -127,8 +127,8 @@ def _result(
 
 
 def results(summary: Mapping[str, Any]) -> dict[str, Table]:
-    """A table for each kind of estimate, which are not comparable: filtered rows know the
-    past, fixed-lag ones a little more, smoothed ones everything."""
+    """A table for each kind of estimate. Kinds are not comparable: filtered rows use the past,
+    fixed-lag ones a little of the future too, smoothed ones the whole pass."""
     study, verdict = "runs" in summary, summary.get("verdict", {}).get("states", {})
     head = ["row", "RMSE", *(["95 % interval"] if study else []), "last epoch", "1-sigma",
             *(["bound", "RMSE / bound"] if study else []), "ANEES", "within 3 sigma",
@@ -185,7 +185,7 @@ def _judged(verdict: Mapping[str, Any] | None) -> Cell:
 
 
 def noises(summary: Mapping[str, Any]) -> Table | None:
-    """The factor of each declared sigma, as the residuals of the best smoother have it."""
+    """True over declared sigma of each noise, estimated from the best smoother's residuals."""
     body = []
     for one in summary["verdict"]["noises"]:
         said = Cell("likely cause", "bad") if one["named"] else Cell("as declared", "good")
@@ -199,8 +199,7 @@ def noises(summary: Mapping[str, Any]) -> Table | None:
 
 
 def paired(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
-    """For each pair of rows: what part of the RMSE of the first is gone in the second;
-    pairs of one kind first."""
+    """For each pair of rows a, b, the improvement 1 - RMSE_b / RMSE_a; pairs of one kind first."""
     pairs = sorted(summary["paired"], key=lambda p: p["kinds"][0] != p["kinds"][1])
     out = []
     head = ["state", "RMSE removed", "95 % interval", "better in", "runs"]
@@ -219,7 +218,7 @@ def paired(summary: Mapping[str, Any]) -> list[tuple[str, Table]]:
 
 
 def mcreynolds(summary: Mapping[str, Any]) -> Table | None:
-    """Filter against smoother: their difference in units of what it should be."""
+    """Filter against smoother: mean square of their difference over its expected variance."""
     body = []
     for pair in summary["mcreynolds"]:
         if pair["states"]:

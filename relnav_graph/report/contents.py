@@ -26,13 +26,17 @@ from relnav_graph.study.folder import StudyFolder
 
 __all__ = ["PassContents", "StudyContents", "WorstRun", "read_contents"]
 
+#: Worst runs that the report lists.
 LISTED = 5
 
 
 @dataclass(frozen=True, eq=False)
 class WorstRun:
-    """A run, its joint ANEES in the row that is judged, and its state that is furthest
-    from the RMSE of all runs: by how much, in parts of it."""
+    """A run that is among the worst.
+
+    anees: joint ANEES of the judged row; state, ratio: the state whose RMSE is largest relative
+    to that over all runs, and that ratio; command: makes the run alone.
+    """
 
     run: int
     anees: float
@@ -55,7 +59,7 @@ class PassContents:
 
 @dataclass(frozen=True, eq=False)
 class StudyContents:
-    """A study: its summary, and what its runs add up to.
+    """A study: its summary, and found, the sums over its runs.
 
     judged: the row by which runs are called bad; worst: the worst of them, worst first.
     """
@@ -99,7 +103,7 @@ def _lost(path: Path, there: set[int]) -> dict[int, str]:
 
 
 def _judged(found: Collected) -> str:
-    """The row by which runs are called bad: batch, or else the first smoothed one, of
+    """The row by which runs are ranked: batch, else the first smoothed row, else the first, of
     those that did not diverge in every run."""
     rows = {name: row for name, row in found.rows.items() if row.own} or found.rows
     if "batch" in rows:

@@ -19,15 +19,15 @@ from relnav_graph.figures import STYLE
 __all__ = ["encode", "image"]
 
 _DPI = 200
-#: Of the palette: a third of the size of full colour, and no difference to be seen.
+#: In the palette: a third of the size of full colour, without a visible difference.
 _COLOURS = 128
 
 
 def image(figure: Figure) -> str:
-    """A figure as the address of an image that is its own content.
+    """A figure as a data URL of a PNG image, with a palette and a transparent background.
 
-    A PNG with a palette: of these figures, with a thousand points and shaded bands, it is
-    a fifth of the size of an SVG. Its paper is transparent.
+    Of these figures, with a thousand points and shaded bands, it has a fifth of the size of
+    an SVG.
     """
     full, small = io.BytesIO(), io.BytesIO()
     with mpl.rc_context(STYLE):

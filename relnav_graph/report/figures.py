@@ -34,7 +34,7 @@ __all__ = ["RunFigures", "plain"]
 KINDS: tuple[Kind, ...] = ("filtered", "fixed-lag", "smoothed")
 #: Runs whose numbers are joined by a line from row to row: more would be mud.
 _JOINED = 100
-#: How a row is called that is what a filter's run ends with, smoothed.
+#: Ending of the name of a row that is the smoothed end of an online estimator.
 _ENDS = "_smoothed"
 #: Width of the lines of predicted sigmas, beside errors of 1.4.
 _THIN = 0.6
@@ -82,7 +82,7 @@ class RunFigures:
         return [(kind, group) for kind, group in groups if group]
 
     def _style(self, name: str) -> dict[str, Any]:
-        """Of a row in a panel of its kind, so that its label need not say it."""
+        """Style of a row, labelled by its name alone, since its panel tells the kind."""
         return {**self.styles[name], "label": name}
 
     def drawn(self) -> list[str]:
@@ -185,7 +185,7 @@ class RunFigures:
                 index = order.index(sensor)
                 values = row.nis.mean[index]
                 ax.plot(self.t, values, **self._style(name))
-                # Rows that fall into a bin, were they spread evenly over those that have any.
+                # Residual rows in a bin, if all were spread evenly over the bins that have any.
                 seen = np.isfinite(values)
                 total = float(np.nansum(row.of_sensor(sensor, "rows")))
                 counted = np.maximum(counted, np.where(seen, total / max(seen.sum(), 1), 0))
@@ -283,7 +283,7 @@ def _band_handle() -> Patch:
 
 
 def _limit_ratio(ax: Axes) -> None:
-    """Logarithmic where a row is far off, so that the others stay readable."""
+    """Limits of an axis of ratios; logarithmic above 5, so that rows near 1 stay readable."""
     low, high = ax.dataLim.intervaly
     if high > 5:
         ax.set_yscale("log")

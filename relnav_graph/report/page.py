@@ -27,7 +27,7 @@ __all__ = ["MAX_BYTES", "Gallery", "render", "write_report"]
 
 #: No report is larger: it must travel by mail.
 MAX_BYTES = 10_000_000
-#: What tables and text may take of it.
+#: Bytes of it that are left to tables and text.
 _RESERVE = 500_000
 
 
@@ -44,7 +44,10 @@ class Shown:
 
 @dataclass(eq=False)
 class Gallery:
-    """The figures of the page: images of all, and what can be zoomed as far as it fits."""
+    """The figures of the page: an image of each, and zoomable copies as far as there is room.
+
+    waiting: figures by key, to be made zoomable at the end; taken: bytes of the images.
+    """
 
     waiting: dict[str, Figure | Scene] = field(default_factory=dict)
     taken: int = 0
@@ -64,7 +67,8 @@ class Gallery:
         return shown
 
     def zoomed(self, room: int) -> dict[str, str]:
-        """What can be zoomed by key, in at most `room` bytes: scenes first."""
+        """Zoomable figures as JSON, by key, scenes first, as many as fit: with all images they
+        take at most `room` bytes."""
         found = {}
         room -= self.taken
         for key, figure in sorted(self.waiting.items(), key=lambda f: isinstance(f[1], Figure)):

@@ -21,11 +21,11 @@ from relnav_graph.scoring.metrics import with_smoothed
 
 __all__ = ["Scene", "make_scene"]
 
+#: Most points of a path, ellipsoids of a row, and moments that the slider steps through.
 _POINTS, _ELLIPSOIDS, _FRAMES = 600, 14, 60
 #: Part of the pass whose ellipsoids are left out: filters still converge.
 _TRANSIENT = 0.1
-#: Sizes of target and of the largest ellipsoid in parts of the view, reached by drawing
-#: them larger than they are.
+#: Sizes of target and largest ellipsoid as fractions of the view; they are enlarged up to them.
 _TARGET_PART, _ELLIPSOID_PART = 0.12, 0.07
 #: Half the edge of the box drawn for a target of which no point is known, m.
 _HALF_EDGE = 0.5
@@ -34,7 +34,12 @@ _AXES = ("#D55E00", "#009E73", "#0072B2")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The figure, and in how many times their size target and errors are drawn."""
+    """The figure, and what its caption says.
+
+    frame: letter of the frame; turning: whether the target turns in it; true: whether the path
+    and attitude are the truth; target_scale, error_scale: factors by which target and errors
+    are enlarged; rows: the tracks shown.
+    """
 
     figure: Mapping[str, Any]
     frame: str
@@ -54,8 +59,8 @@ def _nice(scale: float) -> float:
 
 
 def _rows(content: PassContents) -> dict[str, StateEstimates]:
-    """The position by one filtered (or fixed-lag) and one smoothed row, batch if it is
-    there."""
+    """The relative position as estimated by one online and one smoothed row: the first of each
+    that is finite, or batch."""
     chosen: dict[str, tuple[str, StateEstimates]] = {}
     derived = derived_quantities(content.scenario.layout)
     for name, track in with_smoothed(content.tracks).items():
@@ -113,7 +118,8 @@ def _xyz(points: Array) -> dict[str, Array]:
 
 
 def _target(R: Array, box: Array, points: Array | None, reach: float) -> list[dict[str, Array]]:
-    """Coordinates of the parts that turn: box, points, and the axes of t."""
+    """Coordinates, m, of the parts that turn with R = R_ot (3, 3): box (8, 3) and points (n, 3)
+    in t, and the axes of t, of length `reach`."""
     shown = points if points is not None else np.zeros((0, 3))
     axes = [np.vstack([np.zeros(3), reach * e]) for e in np.eye(3)]
     return [_xyz(part @ R.T) for part in (box, shown, *axes)]
@@ -130,7 +136,7 @@ def _sphere(n: int = 10) -> tuple[Array, Indices]:
 
 
 def _ellipsoids(centres: Array, P: Array, scale: float) -> dict[str, Any]:
-    """One mesh of the 3-sigma ellipsoids of covariances P (k, 3, 3) at centres (k, 3)."""
+    """One mesh of the ellipsoids |P^-1/2 d| = 3 `scale` about centres (k, 3); P (k, 3, 3), SI."""
     sphere, faces = _sphere()
     w, V = np.linalg.eigh(P)
     half = V * (3 * scale * np.sqrt(np.maximum(w, 0)))[:, None, :]
@@ -148,7 +154,8 @@ def _view(path: Array, target: Array) -> tuple[Array, float]:
 
 
 def _eye(path: Array) -> Array:
-    """Where to look from, in half edges: slantwise onto the plane of the path, from above."""
+    """Where the camera stands (3,), in plotly's units: oblique to the plane that fits the path
+    (N, 3) best, on its side towards +z."""
     along, _, normal = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2]
     normal = normal if normal[2] >= 0 else -normal
     eye = normal + 0.6 * (along if along[2] >= 0 else -along)

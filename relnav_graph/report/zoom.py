@@ -1,6 +1,6 @@
 """Figures of matplotlib as figures of plotly, which can be zoomed.
 
-Each figure is so defined once. Translated is what this package draws: lines, markers,
+So each figure is defined once. Only what this package draws is translated: lines, markers,
 bands, notes and the legend, in linear and logarithmic panels.
 """
 
@@ -65,7 +65,7 @@ def _line_style(line: Line2D) -> dict[str, Any]:
 
 
 def _thinned(x: ArrayLike, y: ArrayLike) -> tuple[dict[str, Any], Array]:
-    """At most so many points; times that are evenly spaced as start and step."""
+    """Every k-th point, at most `_POINTS`: x, as start and step where evenly spaced, and y (n,)."""
     t, values = (np.asarray(v, dtype=np.float64) for v in (x, y))
     step = max(1, -(-len(t) // _POINTS))
     t, values = t[::step], values[::step]

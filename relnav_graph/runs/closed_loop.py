@@ -1,9 +1,9 @@
 """Closed loops: estimators whose own estimates fly the chaser.
 
-At each epoch the sensors measure the truth, the estimator makes an estimate of it, the
-controller a command of the estimate, and the truth flies on to the next epoch with that
-command held. So each estimator flies a pass of its own, and its errors really move the craft;
-the noises are the same for all. What was flown is then scored like any other pass.
+At each epoch the sensors measure the truth, the estimator makes an estimate, the controller a
+command from the estimate, and the truth is propagated to the next epoch with that command
+held. So each estimator flies a pass of its own, and its errors really move the craft; the
+noises are the same for all. What was flown is then scored like any other pass.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """A pass that was flown: the problem of it, and the track, which knows its truth."""
+    """A pass that was flown: its problem, and the track, whose `truth` is what was flown."""
 
     problem: Problem
     track: Track
@@ -103,7 +103,7 @@ class ClosedLoop:
             raise InputError(f"control: {law.kind} needs {missing}, which nobody gives")
 
     def _reached(self) -> tuple[Measurement, ...]:
-        """Note the truth where the flight is now, and measure it."""
+        """Store the true state at the present epoch, and simulate its measurements."""
         k = len(self._values)
         values = {**self._flight.values(), **self._inputs.biases(k)}
         self._values.append(values)
@@ -117,7 +117,7 @@ class ClosedLoop:
         return tuple(found)
 
     def _fly(self, t0: float, t1: float) -> Epoch:
-        """On to the next epoch."""
+        """Propagate the truth from t0 to t1, s, under the present command; the epoch at t1."""
         means = self._flight.advance(t1, self._command, self._inputs.edges(t0, t1))
         series = self._inputs.over(t0, t1, means)
         measurements = self._reached()
@@ -131,13 +131,13 @@ class ClosedLoop:
             yield self._epochs[-1]
 
     def assembly(self) -> Assembly:
-        """Of the newest epoch."""
+        """The newest epoch, with the interval before it, ready to be linearised."""
         before = self._epochs[-2].t if len(self._epochs) > 1 else None
         return self._models.again(self._epochs[-1], before)
 
     def take(self, x: Array) -> None:
-        """Make the next command of an estimate. Raises EstimationError on one that is not
-        finite."""
+        """Make the next command from an estimate x (size,). Raises EstimationError on a command
+        that is not finite."""
         law, t = self._law, self._epochs[-1].t
         if t < law.start - SAME_TIME:
             return
@@ -163,12 +163,13 @@ class ClosedLoop:
 
 
 def flies(kind: str) -> bool:
-    """Whether an estimator of a kind takes one epoch at a time. Raises ModelError."""
+    """Whether an estimator takes one epoch at a time, so that it can fly. Raises ModelError on
+    an unknown kind."""
     return issubclass(find_class(GROUP, kind), TakesEpochs)
 
 
 def fly(scenario: Scenario, kind: str, seed: int, run: int = 0) -> Flown:
-    """The pass that an estimator flies. One that diverges ends its own flight, and says so.
+    """The pass that an estimator flies. Divergence ends the flight, and the track says so.
 
     Raises InputError as `ClosedLoop` does, ModelError on an estimator that is for whole
     passes only.
@@ -191,8 +192,9 @@ def fly(scenario: Scenario, kind: str, seed: int, run: int = 0) -> Flown:
 
 
 def fly_all(scenario: Scenario, kinds: Sequence[str], seed: int, run: int = 0) -> Iterator[Flown]:
-    """What each estimator flies; one for whole passes smooths what the last one that flew
-    has flown. Raises InputError when there is none before it, and as `fly` does."""
+    """The pass that each estimator flies. One for whole passes, which cannot fly, smooths the
+    pass that the last one before it has flown. Raises InputError when there is none before it,
+    and as `fly` does."""
     last: Flown | None = None
     for kind in kinds:
         if flies(kind):

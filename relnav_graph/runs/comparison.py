@@ -20,7 +20,7 @@ from relnav_graph.scoring.metrics import summary
 
 __all__ = ["Comparison", "Estimated", "compare", "compare_pass", "estimate_pass"]
 
-#: Is told, in a line of text each, of steps that take seconds.
+#: Called with a line of text before each step that takes seconds.
 Listener = Callable[[str], None]
 
 
@@ -57,7 +57,7 @@ class Comparison:
 
 
 def estimate_pass(
-    run: Pass,
+    opened: Pass,
     kinds: Sequence[str],
     estimate: Callable[[str, Problem], Track] = try_estimator,
     tell: Listener = _silent,
@@ -67,38 +67,38 @@ def estimate_pass(
     kinds: of estimators, in order; estimate: what runs one on a pass that is not flown; tell:
     hears of each step. Raises InputError when the pass gives no problem, or cannot be flown.
     """
-    if run.flown:
-        tell(f"{run.scenario.name}: each of {', '.join(kinds)} flies a pass of its own ...")
+    if opened.flown:
+        tell(f"{opened.scenario.name}: each of {', '.join(kinds)} flies a pass of its own ...")
         out = []
-        for flown in fly_all(run.scenario, kinds, run.seed, run.run):
+        for flown in fly_all(opened.scenario, kinds, opened.seed, opened.run):
             tell(f"{flown.track.name}: {len(flown.problem.epochs)} epochs")
             out.append(Estimated(flown.problem, flown.track.truth, [flown.track]))
         return out
-    problem, tracks = run.problem, []
+    problem, tracks = opened.problem, []
     for kind in kinds:
         tell(f"{kind}: {len(problem.epochs)} epochs ...")
         tracks.append(estimate(kind, problem))
-    return [Estimated(problem, run.recording.truth, tracks)]
+    return [Estimated(problem, opened.recording.truth, tracks)]
 
 
 def compare_pass(
-    run: Pass, kinds: Sequence[str] | None = None, tell: Listener = _silent
+    opened: Pass, kinds: Sequence[str] | None = None, tell: Listener = _silent
 ) -> Comparison:
     """Run estimators on a pass that is open, and score them; see :func:`compare`."""
-    chosen = list(dict.fromkeys(kinds or run.scenario.file.estimators))
+    chosen = list(dict.fromkeys(kinds or opened.scenario.file.estimators))
     for kind in chosen:
         find_class(GROUP, kind)
-    warm_up(run, chosen)
-    made = estimate_pass(run, chosen, tell=tell)
+    warm_up(opened, chosen)
+    made = estimate_pass(opened, chosen, tell=tell)
     each = [(one, track) for one in made for track in one.tracks]
-    tracks, times = tuple(track for _, track in each), run.recording.times
+    tracks, times = tuple(track for _, track in each), opened.recording.times
     found = summary(
-        run.scenario.name,
-        run.seed if run.simulated else None,
+        opened.scenario.name,
+        opened.seed if opened.simulated else None,
         tracks,
-        run.recording.truth,
-        derived_quantities(run.scenario.layout),
-        run.scenario.window(times),
+        opened.recording.truth,
+        derived_quantities(opened.scenario.layout),
+        opened.scenario.window(times),
         len(times),
         each[0][0].problem.cautions,
     )

@@ -16,12 +16,13 @@ from relnav_graph.runs.passes import Pass
 __all__ = ["write_outputs"]
 
 
-def write_outputs(out: Path, run: Pass, found: Comparison, command: str = "") -> None:
+def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "") -> None:
     """Write results, summary, manifest and figures into the folder `out`.
 
-    command: what made them, for the manifest. Raises InputError on a folder that cannot be.
+    command: the command line that made them, for the manifest. Raises InputError when the
+    folder cannot be made or written.
     """
-    # Not before they are drawn: matplotlib takes half a second to import.
+    # Imported here: matplotlib takes half a second, which other commands need not wait for.
     from relnav_graph.figures import error_figures, save_figures, trajectory_figure
 
     try:
@@ -29,26 +30,26 @@ def write_outputs(out: Path, run: Pass, found: Comparison, command: str = "") ->
     except OSError as error:
         raise InputError(f"-o {out}: {error.strerror}") from error
     attributes = {
-        "scenario": run.scenario.name,
-        "title": run.scenario.file.title,
-        "time_origin": f"{run.scenario.file.time.origin!r} s",
+        "scenario": opened.scenario.name,
+        "title": opened.scenario.file.title,
+        "time_origin": f"{opened.scenario.file.time.origin!r} s",
         "cautions": cautions_out(found.problems[0].cautions),
     }
-    write_results(out / "results.nc", found.tracks, run.recording.truth, attributes)
+    write_results(out / "results.nc", found.tracks, opened.recording.truth, attributes)
     with atomic(out / "summary.json") as staged:
         staged.write_text(json.dumps(found.summary, indent=2, allow_nan=False) + "\n", "utf-8")
     PassManifest(
-        run.scenario.name,
-        run.scenario.raw,
-        run.seed,
-        run.run,
-        run.simulated,
+        opened.scenario.name,
+        opened.scenario.raw,
+        opened.seed,
+        opened.run,
+        opened.simulated,
         found.summary["versions"],
         command,
     ).write(out)
-    derived = derived_quantities(run.scenario.layout)
-    figures = error_figures(found.tracks, run.recording.truth, derived)
-    path = trajectory_figure(found.tracks, run.recording.truth, derived)
+    derived = derived_quantities(opened.scenario.layout)
+    figures = error_figures(found.tracks, opened.recording.truth, derived)
+    path = trajectory_figure(found.tracks, opened.recording.truth, derived)
     if path is not None:
         figures["trajectory"] = path
     save_figures(figures, out / "figures")

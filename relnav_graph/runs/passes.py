@@ -22,11 +22,12 @@ __all__ = ["Pass", "is_dataset", "open_dataset", "open_pass", "simulated_pass"]
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """A scenario with the recording it is run on.
+    """A scenario with the recording that estimators get.
 
-    seed: root of what is drawn, the prior's mean at least; simulated: whether the recording
-    was drawn from it too; run: which of the runs of a study it is; flown: whether estimators
-    are to fly it themselves, in loops: the recording then holds the times alone.
+    seed: root of all that is drawn, which is the prior's mean at least; simulated: whether the
+    recording was drawn from it too; run: number of the draw, as in a study; flown: whether
+    each estimator is to fly a pass of its own in a closed loop: the recording then holds the
+    times alone.
     """
 
     scenario: Scenario
@@ -51,7 +52,8 @@ def is_dataset(folder: Path) -> bool:
 def simulated_pass(scenario: Scenario, seed: int, run: int = 0, loops: bool = True) -> Pass:
     """A pass drawn from a scenario.
 
-    loops: a scenario with a controller is not simulated, but left to be flown. Raises
+    loops: whether, of a scenario with a controller, the pass is left to be flown in closed
+    loops; else it is simulated without control. Raises
     InputError on a scenario that is not for simulation.
     """
     if loops and scenario.control is not None:

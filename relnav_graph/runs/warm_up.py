@@ -13,16 +13,16 @@ from relnav_graph.scenario.scenario import Scenario
 __all__ = ["warm_up"]
 
 
-def warm_up(run: Pass, kinds: Sequence[str]) -> None:
+def warm_up(opened: Pass, kinds: Sequence[str]) -> None:
     """Compile what estimators need, by running them on a few epochs of a pass.
 
     Raises InputError as a whole run would.
     """
-    if run.flown:
-        for _ in fly_all(_first_epochs(run.scenario), kinds, run.seed):
+    if opened.flown:
+        for _ in fly_all(_first_epochs(opened.scenario), kinds, opened.seed):
             pass
         return
-    few = replace(run.problem, epochs=run.problem.epochs[:3])
+    few = replace(opened.problem, epochs=opened.problem.epochs[:3])
     for kind in kinds:
         try_estimator(kind, few)
 

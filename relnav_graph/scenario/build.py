@@ -30,7 +30,7 @@ from relnav_graph.scenario.schema import (
 )
 from relnav_graph.scenario.toml import merge, override, read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
-from relnav_graph.sim.contracts import ControlledTruth, Controller, SimulatedTruth
+from relnav_graph.sim.contracts import ControlledTruth, Controller, DrivenTruth, SimulatedTruth
 
 __all__ = [
     "load_scenario",
@@ -59,7 +59,7 @@ def _check_inputs(
     inputs: Mapping[str, Any],
     problems: Problems,
 ) -> None:
-    """A simulated pass needs a source for each input of its processes."""
+    """Note in `problems` each input of a process that a simulated pass has no instrument for."""
     for name, process in processes.items() if file.truth is not None else ():
         for needed in process.inputs:
             if needed not in inputs:
@@ -78,12 +78,12 @@ def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile |
 def make_scenario(
     raw: Mapping[str, Any], name: str, settings: Mapping[str, Any] | None = None
 ) -> Scenario:
-    """A scenario from its tables, over the settings that recorded data bring.
+    """A scenario from the tables of its file; they win over the `settings` of recorded data.
 
     Raises ScenarioError with everything that is wrong.
     """
     sections = {"processes", "sensors"}
-    # Before the data are read, what they will bring may be missing, and nothing else.
+    # Until the data are read, settings that they may bring count as present, not as missing.
     waiting = settings is None and "data" in raw
     merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
     problems: Problems = []
@@ -151,7 +151,7 @@ def _make_truth(
     if isinstance(raw.get("truth"), Mapping):
         own = shared_orbit(TRUTHS, raw["truth"], orbit)
         truth = make_kind(TRUTHS, "truth", own, problems)
-        if truth is not None and not isinstance(truth, SimulatedTruth):
+        if truth is not None and not isinstance(truth, SimulatedTruth | DrivenTruth):
             problems.append(("truth.kind", f"{own['kind']!r} is an input, expected a truth"))
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():

@@ -1,10 +1,10 @@
 """A first estimate from the first measurements, where these suffice.
 
-Blocks that a scenario calls "measured" have no mean beforehand. Sensors that can (those with
-a method `starts`) give rough values for them from one frame; each is improved by least
-squares on that frame, with the sensors' own residuals. What is left are different minima:
-mirror poses of coplanar points, say. Each is a hypothesis, which the batch smoother extends
-over a few more frames, rates and all; the one that fits best is taken.
+Blocks whose prior mean is "measured" have no mean beforehand. Sensors with a method `starts`
+propose rough values for them from the measurements of one epoch, a frame; each proposal is
+improved by least squares on that frame, with the sensors' own residuals. Proposals may end in
+different minima: mirror poses of coplanar points, say. Each minimum is a hypothesis, which the
+batch smoother extends over a few more frames, rates included; the one that fits best is taken.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import UNSOLVED, solve_gated
-from relnav_graph.estimators.ekf import ITERATIONS, filter_pass
+from relnav_graph.estimators.batch import solve_gated
+from relnav_graph.estimators.ekf import ITERATIONS, filter_problem
 from relnav_graph.estimators.rts import smooth
+from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly
 
 __all__ = ["FRAMES", "Hypothesis", "decide", "hypotheses", "initialise"]
 
 _LOG = logging.getLogger(__name__)
 
-#: Half the squared residuals by which one hypothesis must fit better than the next: the odds
-#: are then e^8, 3000 to 1.
+#: Difference in cost, half the squared residuals, by which the best hypothesis must fit better
+#: than the next: the likelihood ratio is then e^8, 3000 to 1.
 DECISIVE = 8.0
 #: Epochs over which several hypotheses are told apart.
 FRAMES = 6
-#: A direction is not seen when the frame tells less of it than this fraction of what it tells
-#: of the best seen one, each in units of the prior's sigma.
+#: A direction is not seen when its eigenvalue of the frame's information, in units of the
+#: prior's sigmas, is below this fraction of the largest one.
 UNSEEN = 1e-6
 
 
@@ -60,7 +61,13 @@ def _same(layout: Layout, a: Array, b: Array, names: Sequence[str]) -> bool:
 
 
 def _improve(assembly: Assembly, x: Array, columns: Indices) -> tuple[Array, float, Array]:
-    """Least squares on one epoch over some tangent columns (Levenberg): x, cost, H."""
+    """Least squares on one epoch over some tangent columns (Levenberg-Marquardt).
+
+    Steps d = -(H^T H + damping diag(H^T H))^-1 H^T r of the whitened rows r, H, kept where they
+    lower |r|^2, or the number of observations that cannot be computed at x. x (size,).
+    Returns x, the cost |r|^2 / 2 (infinite where an observation is left without residual) and
+    H (rows, n).
+    """
     every, damping = np.ones(assembly.observations), 1e-3
     rows = assembly.measure(x[None], every)
     lost, cost = int((rows.status > 0).sum()), float(rows.r @ rows.r)
@@ -101,7 +108,11 @@ def _starts(problem: Problem, epoch: Epoch, names: Sequence[str]) -> Iterator[Ar
 
 
 def _check_seen(problem: Problem, epoch: Epoch, H: Array, names: Sequence[str]) -> None:
-    """Raise EstimationError, naming them, when directions of the blocks are not seen."""
+    """Raise EstimationError, naming them, when directions of the blocks are not seen.
+
+    They are eigenvectors of S H^T H S with small eigenvalues; H (rows, n): whitened Jacobian;
+    S: the prior's sigmas.
+    """
     layout = problem.layout
     _, columns = layout.gather([layout.block(n) for n in names])
     sigma = np.sqrt(np.diag(problem.prior.P))[columns]
@@ -154,7 +165,7 @@ def hypotheses(problem: Problem, names: Sequence[str]) -> list[Hypothesis]:
             f"initialise: no pose at the first epoch, t = {epoch.t} s, can be, of"
             f" {len(starts)} tried for {', '.join(names)}"
         )
-    # What noise cannot explain is no hypothesis.
+    # Minima that fit so much worse that noise cannot be the reason are dropped.
     limit = found[0].cost + 25.0 + 0.5 * len(assembly.tables.observations)
     return [h for h in found if h.cost <= limit]
 
@@ -163,7 +174,7 @@ def _extended(problem: Problem, hypothesis: Hypothesis, frames: int) -> Hypothes
     """The hypothesis over more frames: its first state, and half the squared residuals."""
     prior = Prior(hypothesis.x, problem.prior.P)
     short = replace(problem, prior=prior, epochs=problem.epochs[:frames])
-    done = filter_pass(short, ITERATIONS)
+    done = filter_problem(short, ITERATIONS)
     if done.stopped:
         return Hypothesis(hypothesis.x, np.inf)
     begin = smooth(done, covariances=False)[0]
@@ -175,7 +186,7 @@ def _extended(problem: Problem, hypothesis: Hypothesis, frames: int) -> Hypothes
 
 
 def initialise(problem: Problem, names: Sequence[str], frames: int = FRAMES) -> Prior:
-    """The prior that `decide` finds; where there is doubt, that is said."""
+    """The prior that `decide` finds; where hypotheses remain in doubt, a warning is logged."""
     prior, doubt = decide(problem, names, frames)
     if doubt:
         _LOG.warning("%s", doubt)
@@ -185,10 +196,10 @@ def initialise(problem: Problem, names: Sequence[str], frames: int = FRAMES) -> 
 def decide(problem: Problem, names: Sequence[str], frames: int = FRAMES) -> tuple[Prior, str]:
     """The problem's prior with the mean of the blocks `names` taken from the first frames.
 
-    The covariance is as it was: it is to be wide beside what the frames say, which are used
-    again as measurements. Several hypotheses are told apart over `frames` epochs; where they
-    cannot be, the best is taken, and the text says so. Raises EstimationError as `hypotheses`
-    does.
+    The covariance stays that of the scenario. It must be wide beside the information of these
+    frames, which the estimator uses again as measurements. Several hypotheses are told apart
+    over `frames` epochs; where they cannot be, the best is taken, and the text, else "", says
+    so. Raises EstimationError as `hypotheses` does.
     """
     found, doubt = hypotheses(problem, names), ""
     if len(found) > 1:

@@ -61,7 +61,11 @@ def make_prior(
     t: float,
     rng: np.random.Generator,
 ) -> Prior:
-    """The prior at time t, s. Raises InputError when it needs a truth that is not known."""
+    """The prior at time t, s: mean ``x = mean (+) d``, d ~ N(0, diag(sigma^2)) for the blocks that
+    are "drawn" about the truth, else d = 0; covariance diag(sigma^2).
+
+    Raises InputError when it needs a truth that is not known.
+    """
     sigma = np.concatenate([_prior_sigma(b, priors[b.name].sigma) for b in layout])
     draw = sigma * rng.standard_normal(layout.dim)
     means: dict[str, Array] = {}
@@ -71,7 +75,7 @@ def make_prior(
             means[block.name] = _prior_mean(block, mean)
             draw[layout.tangent(block.name)] = 0.0
             continue
-        if mean == "measured":  # a place to start from only
+        if mean == "measured":  # the identity, until the first frames give a value
             means[block.name] = block.unpack(layout.identity[layout.stored(block.name)])
             draw[layout.tangent(block.name)] = 0.0
             continue

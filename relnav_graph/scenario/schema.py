@@ -117,11 +117,13 @@ class OutlierSettings(BaseModel):
 
 
 class SensorOptions(BaseModel):
-    """Of a sensor, what belongs to no model: `gate`, the probability of the chi-square
-    gate on each observation, `loss`, robust, with its `tuning` constant in sigmas; in
-    simulation `period`, how often it measures, from `begin` until before `end`, the `law` of
-    its noise, "gaussian" or "random_direction" (of a normal length along a direction drawn at
-    random, of the same covariance), and `outliers`."""
+    """Settings that every sensor has, whatever its model.
+
+    gate: probability of the chi-square gate on each observation; loss: a robust loss, tuning:
+    its constant in sigmas. In simulation: period, between measurements, from begin until
+    before end; law of the noise, "gaussian" or "random_direction" (of a normal length along a
+    direction drawn at random, of the same covariance); outliers.
+    """
 
     model_config = _STRICT
 
@@ -151,8 +153,8 @@ class SensorOptions(BaseModel):
 
 
 class OnlineSettings(BaseModel):
-    """Of estimators that take one epoch at a time: `window`, of the fixed-lag smoother and
-    for measurements that come late; without, 30 epochs."""
+    """Settings of estimators that take one epoch at a time. window: length of the fixed-lag
+    smoother's window, and how late a measurement may come; by default 30 epochs."""
 
     model_config = _STRICT
 
@@ -221,6 +223,7 @@ def _path(prefix: str, location: Sequence[int | str]) -> str:
 
 
 def from_pydantic(prefix: str, error: ValidationError) -> Problems:
+    """The errors that pydantic found, in our words; prefix: path of what it validated."""
     found = []
     for e in error.errors():
         message = e["msg"].removeprefix("Value error, ")
@@ -256,6 +259,8 @@ def _make(path: str, cls: type[Any], table: Mapping[str, Any], problems: Problem
 
 
 def make_kind(group: str, path: str, table: Mapping[str, Any], problems: Problems) -> Any:
+    """An instance of the class that a table names by `kind`, found in an entry-point group; None
+    when there is none, or the table does not fit it: `problems` then says why."""
     kind = table.get("kind")
     if not isinstance(kind, str):
         problems.append((f"{path}.kind", f"found {kind!r}, expected the name of a kind"))
@@ -272,7 +277,8 @@ def make_kind(group: str, path: str, table: Mapping[str, Any], problems: Problem
 def shared_orbit(
     group: str, table: Mapping[str, Any], orbit: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """The table with what the scenario's [orbit] gives to a model that asks for it."""
+    """The table, with the scenario's [orbit] added where the model has a field `orbit`, or the
+    orbit's elements as fields of its own."""
     out = dict(table)
     try:
         cls = find_class(group, str(table.get("kind")))

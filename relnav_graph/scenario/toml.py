@@ -16,7 +16,7 @@ __all__ = [
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables; a value in `over` wins."""
+    """Two trees of nested tables as one; where both have a value, that of `over` wins."""
     out = dict(base)
     for key, value in over.items():
         both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)

@@ -31,14 +31,15 @@ _MEANT = {
     "rad": ("deg", "arcsec", "mrad"),
     "m": ("km", "mm"),
 }
-#: Chance that a measurement in the right unit is called a misfit, in the wrong one a fit.
+#: Chi-square tail probabilities: below the first, a measurement does not fit as it is; above
+#: the second, it fits in another unit.
 _MISFIT, _FIT = 1e-9, 1e-3
 
 
 def _misfit(
     sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Array
 ) -> tuple[float, int]:
-    """Squared normalised innovation at the state x with covariance P, and its rows."""
+    """r^T S^-1 r with S = H P H^T + R at the state x (size,) of covariance P (n, n); rows of r."""
     values = layout.values(x)
     r, jacobians = sensor.residual(m, *(values[b.name] for b in sensor.reads))
     _, columns = layout.gather(sensor.reads)

@@ -24,8 +24,8 @@ __all__ = ["Bounds", "bounds", "true_trajectory"]
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Tracks whose covariances are the bounds, for any filter and for any smoother of the whole
-    pass; their states are the trajectory itself."""
+    """Tracks whose covariances (N, n, n) are the bounds: filtered, for any filter; smoothed, for
+    any smoother of the whole pass. Their states are the trajectory itself."""
 
     filtered: Track
     smoothed: Track
@@ -53,7 +53,12 @@ def true_trajectory(problem: Problem, truth: Truth | None) -> Array:
 
 
 def _filtered(P: Array, F: Array, Q: Array, rows: MeasurementRows, offsets: Indices) -> Array:
-    """The covariance recursion of the Kalman filter, updates in Joseph's form."""
+    """The covariance recursion of the Kalman filter at fixed linearisation, (N, n, n).
+
+    P_k|k-1 = F P F^T + Q; with whitened rows H (R = I): K = P H^T (H P H^T + I)^-1 and
+    P_k = (I - K H) P (I - K H)^T + K K^T (Joseph's form). P (n, n): of the prior; F, Q
+    (N - 1, n, n); offsets (N + 1,): where the rows of each epoch begin.
+    """
     one, out = np.eye(len(P)), []
     for k in range(len(offsets) - 1):
         if k:
@@ -79,7 +84,7 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     weights = np.ones(assembly.observations)
     rows = assembly.measure(x, weights)
     _, F, Q = assembly.transition(x[:-1])
-    # The prior's covariance about the trajectory itself, whatever mean was drawn.
+    # The prior is put about the trajectory itself: its mean must not move the bound.
     whiten = inverse_cholesky("the prior", problem.prior.P)
     anchor = Anchor(x[0], whiten, np.zeros(layout.dim))
     system = linearize(assembly, anchor, x, assembly.whitening(Q), weights)

@@ -92,7 +92,8 @@ def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
 def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstimates]:
     """Estimates of every block of the track and of every derived quantity that its blocks give.
 
-    For a pass flown under control also the control errors' aim, zero, with a covariance of NaN.
+    Of a pass flown under control also the control errors: their "estimate" is the set point,
+    zero, with a covariance of NaN.
 
     A derived quantity with the name of a block is left out: the block is the estimate.
     """
@@ -117,7 +118,7 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
 
 
 def _truth_at(t: Array, truth: Truth, derived: Sequence[Derived]) -> dict[str, Array]:
-    """True values at times t (N,), by name. Raises InputError on a time truth lacks."""
+    """True values at times t (N,), s, by name. Raises InputError on a time that truth lacks."""
     rows, known = truth.at(t)
     if not known.all():
         raise InputError(f"truth {truth.source!r}: no epoch at {t[~known][0]} s")
@@ -177,13 +178,13 @@ def joint(found: Iterable[StateErrors], track: Track) -> tuple[Array, Array]:
 
 
 def nees(e: Array, P: Array) -> tuple[Array, Indices]:
-    """Normalised error squared ``e^T P^+ e`` (N,) and the rank of P (N,).
+    """Normalised estimation error squared, NEES = ``e^T P^+ e`` (N,), and the rank of P (N,).
 
     e (N, dim): errors; P (N, dim, dim): their covariances.
 
-    The inverse is taken on the range of the correlation matrix, so that units do not
-    decide the rank, and quantities bound by a constraint (three inertia ratios of two
-    parameters) count with their true number of freedoms. NaN where e or P is not finite
+    The pseudo-inverse is taken of the correlation matrix, so that units do not decide the
+    rank, and quantities bound by a constraint (three inertia ratios of two parameters) count
+    with their true number of degrees of freedom. NaN where e or P is not finite
     or P is not a covariance.
     """
     value, rank = np.full(len(e), np.nan), np.zeros(len(e), dtype=np.int64)
@@ -200,14 +201,17 @@ def nees(e: Array, P: Array) -> tuple[Array, Indices]:
 
 
 def chi2_band(n: int, runs: int = 1, level: float = 0.95) -> Band:
-    """Band of ANEES for n freedoms and independent runs: chi2(n N) / (n N)."""
+    """Two-sided band, of probability `level`, of a mean of NEES / n over independent runs.
+
+    n: degrees of freedom of one run; with m = n runs, the quantiles of chi2(m) / m.
+    """
     freedoms, tail = n * runs, (1 - level) / 2
-    low, high = chdtri(freedoms, 1 - tail), chdtri(freedoms, tail)  # of the upper tail
+    low, high = chdtri(freedoms, 1 - tail), chdtri(freedoms, tail)  # chdtri: upper tail
     return float(low) / freedoms, float(high) / freedoms
 
 
 def mean_nees(e: Array, P: Array) -> tuple[float | None, int]:
-    """ANEES, mean NEES / rank over epochs, and the freedoms of one run, the largest rank.
+    """ANEES = mean over epochs of NEES / rank, and the largest rank: the degrees of freedom.
 
     e (N, dim): errors; P (N, dim, dim): their covariances.
 

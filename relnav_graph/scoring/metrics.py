@@ -59,9 +59,9 @@ class StateScore:
     """Scores of one state in table units; None where the track holds no finite number.
 
     rmse: sqrt(mean |e|^2), a norm over the axes; rmse_last: the same at the last epoch;
-    sigma: sqrt(mean trace P); anees: mean NEES / rank, and freedoms the rank; inside_1sigma
-    to 3: fraction of the components within so many sigma; t: epochs compared, s, empty
-    where truth knows none (then only unit and sigma mean something).
+    sigma: sqrt(mean trace P); anees: mean NEES / rank; freedoms: the rank, degrees of freedom
+    of one run; inside_1sigma to 3: fraction of the components within so many sigma; t (M,):
+    epochs compared, s, empty where truth knows none (then only unit and sigma are set).
     """
 
     unit: str
@@ -128,7 +128,8 @@ def _state_score(s: StateErrors) -> StateScore:
 
 
 def _window(t: Array, evaluate: tuple[float, float] | None) -> NDArray[np.bool_]:
-    """Epochs (N,) within fractions of the pass. Raises InputError when there are none."""
+    """Mask (N,) of the epochs t (N,) in the part `evaluate` of the pass, as two fractions of its
+    length; None: all. Raises InputError when there are none."""
     a, b = evaluate or (0.0, 1.0)
     if not 0 <= a < b <= 1:
         raise InputError(f"evaluate: found {evaluate}, expected 0 <= start < end <= 1")
@@ -193,7 +194,7 @@ def improvement(a: Score, b: Score, state: str) -> float | None:
 
 
 def require_same_kind(tracks: Iterable[Track]) -> Kind:
-    """The kind that all tracks share; for all that averages tracks.
+    """The kind that all tracks share: call it before averaging tracks.
 
     Raises InputError when filtered, fixed-lag and smoothed estimates are mixed.
     """
@@ -205,8 +206,8 @@ def require_same_kind(tracks: Iterable[Track]) -> Kind:
 
 
 def with_smoothed(tracks: Iterable[Track]) -> dict[str, Track]:
-    """Tracks by the name of their row: an online estimator has two, the second being
-    ``NAME_smoothed``, the track that it ends with."""
+    """Tracks by the name of their row. An online estimator has two rows: the second,
+    ``NAME_smoothed``, is its smoothed estimate of the whole pass at the end."""
     found = {}
     for track in tracks:
         found[track.name] = track
@@ -216,8 +217,8 @@ def with_smoothed(tracks: Iterable[Track]) -> dict[str, Track]:
 
 
 def step_ms(step_s: Array | None) -> dict[str, dict[str, float | None]]:
-    """Medians and tail of the times of online steps (N,), s, as ``{"step_ms": ...}``;
-    nothing without steps."""
+    """Medians and 99th percentile, ms, of the computing times step_s (N,), s, of online steps, as
+    ``{"step_ms": ...}``; {} without steps."""
     if step_s is None or not len(step_s):
         return {}
     ms, tenth = 1e3 * step_s, max(1, len(step_s) // 10)

@@ -1,5 +1,5 @@
-"""What can be estimated with a scenario's sensors, before any data: noises after discretisation,
-directions that are weak or not observable, and the sigmas to expect.
+"""What a scenario's sensors can determine, before any data: noises after discretisation,
+directions that are weakly or not observable, and the sigmas to expect.
 
 All of it follows from the information along a nominal trajectory: the truth of a simulated
 pass, or a smoothed estimate of a recorded one.
@@ -26,17 +26,18 @@ from relnav_graph.units import convert
 
 __all__ = ["Direction", "explain", "named_directions"]
 
-#: A direction of which the data leave this part of the prior's sigma is called weak, or
-#: not observable.
+#: A direction is called weak, or not observable, from this ratio of smoothed to prior sigma on.
 WEAK, UNOBSERVABLE = 0.3, 0.9
-#: Least alignment, a cosine, of a direction with the one that it is named after.
+#: A direction is named after another one when the cosine between them is at least this.
 ALIKE = 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A direction in the tangent of an epoch, or several that share a name: the columns
-    of D (n, k). unit and scale: of tables, and from SI to it."""
+    """A direction of the error state, or several that share a name: the columns of D (n, k).
+
+    unit: shown in tables; scale: from SI to that unit.
+    """
 
     name: str
     D: Array
@@ -49,8 +50,12 @@ class Direction:
             yield (self.name if self.D.shape[1] == 1 else f"{self.name} ({_LETTERS[k]})"), d
 
     def alike(self, v: Array, inverse: Array) -> tuple[float, str]:
-        """How near the whitened v (n,) comes to these directions, a cosine, and the name
-        of the nearest; inverse (n, n) whitens."""
+        """Cosine of the angle between v and the span of these directions, and a name for v.
+
+        With whitened directions W D = Q R: |Q^T v|. v (n,): whitened, of length 1; inverse
+        (n, n): W, the inverse Cholesky factor of the prior's covariance. Of several directions
+        the name tells the combination that comes nearest.
+        """
         basis, mixing = np.linalg.qr(inverse @ self.D)
         part = basis.T @ v
         size = float(np.linalg.norm(part))
@@ -91,10 +96,10 @@ def named_directions(problem: Problem, x: Array) -> list[Direction]:
 
 
 def _along(d: Array, information: Array, P: Array) -> float:
-    """1-sigma of the amplitude along d (n,), under a covariance P (n, n).
+    """1-sigma of an error's amplitude along d (n,), under its covariance P (n, n).
 
-    The amplitude is found by projection in the metric of the prior, whose information is
-    `information` (n,).
+    The amplitude is w^T e, the projection in the metric L of the prior: w = L d / (d^T L d) and
+    sigma = sqrt(w^T P w). information (n,): the diagonal of L.
     """
     weight = information * d / (d @ (information * d))
     return float(np.sqrt(weight @ P @ weight))
@@ -114,8 +119,8 @@ def _blocks_of(layout: Layout) -> list[Direction]:
 
 
 def _name(v: Array, inverse: Array, named: list[Direction], blocks: list[Direction]) -> str:
-    """What a whitened direction is called: after the models' own, else after a block,
-    else by its largest parts."""
+    """A name for the whitened direction v (n,): of a direction that the models name, else of a
+    block, whichever is near enough, else the three blocks with the largest parts."""
     for candidates in (named, blocks):
         size, name = max((d.alike(v, inverse) for d in candidates), default=(0.0, ""))
         if size >= ALIKE:
@@ -128,8 +133,8 @@ def _weak_directions(problem: Problem, bound: Bounds, x: Array) -> list[dict[str
     """Directions of the first epoch's state in which the data hardly improve the prior, worst
     first.
 
-    Eigenvectors of the smoothed covariance in units of the prior (its own covariance, so
-    that what is weak does not depend on units).
+    Eigenvectors of W P_s W^T, where W^-1 W^-T is the prior's covariance and P_s the smoothed
+    one; kept, the root of an eigenvalue, is the ratio of both sigmas and free of units.
     """
     inverse = np.linalg.inv(np.linalg.cholesky(problem.prior.P))
     left, vectors = np.linalg.eigh(inverse @ bound.smoothed.P[0] @ inverse.T)
@@ -187,7 +192,7 @@ def _sensor_rows(problem: Problem) -> list[dict[str, Any]]:
 
 
 def _sigmas(R: Array) -> list[float]:
-    """Of each residual row, the mean over observations."""
+    """Sigma of each residual row, from the mean variance over observations; R (k, m, m)."""
     variances = np.diagonal(R, axis1=1, axis2=2)
     return [float(s) for s in np.sqrt(variances.mean(axis=0))]
 

@@ -1,11 +1,11 @@
 """Which noise is declared too small or too large: variance components of a smoothed pass.
 
-Noises are put in groups: each sensor, and each density of a process. With whitened
-residuals e_i of group i after smoothing and sigma_j^2 the factor by which the true
-variance of group j exceeds the declared one, E[e_i^T e_i] = sum_j T_ij sigma_j^2, where
-T_ij = ||Q_ij||^2 and Q is the projector on the residuals. Solving for sigma_j^2 is
-Helmert's estimate (Helmert 1907; Grafarend 1984; Amiri-Simkooei 2007, eq. 22), of
-covariance 2 T^-1 where the declared noises are true.
+Noises are put in groups: each sensor, each noise density of a process, and the prior. With
+whitened residuals e_i of group i after smoothing and sigma_j^2 the ratio of the true to the
+declared variance of group j, E[e_i^T e_i] = sum_j T_ij sigma_j^2, where T_ij = ||Q_ij||^2
+(Frobenius) of the blocks of Q, the projector that gives the residuals of the noises.
+Solving for sigma_j^2 is Helmert's estimate (Helmert 1907; Grafarend 1984; Amiri-Simkooei
+2007, eq. 22), of covariance 2 T^-1 where the declared noises are true.
 """
 
 from __future__ import annotations
@@ -94,7 +94,11 @@ def _residuals(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
 def _coupling(
     rows: Rows, groups: _Groups, used: NDArray[np.bool_], rng: np.random.Generator
 ) -> Array:
-    """T (groups, groups), from one random vector of signs per group (Hutchinson 1990)."""
+    """T (groups, groups), estimated with random signs z (Hutchinson 1990).
+
+    T_ij = ||Q_ij||^2 = E[|Q_ij z_j|^2]: the noises of group j alone are replaced by z_j, and the
+    squared residuals after smoothing are summed by group i.
+    """
     q, m = rows.process, rows.measurements
     prior, process, measured = (rng.choice((-1.0, 1.0), a.shape) for a in (rows.e, q.e, m.r))
     count, n = len(rows.offsets) - 1, len(rows.e)
@@ -114,10 +118,12 @@ def _coupling(
 def noise_residuals(
     problem: Problem, x: Array, rng: np.random.Generator | None = None
 ) -> NoiseResiduals:
-    """Residuals by group at the smoothed trajectory x (N, size), after one more
-    Gauss-Newton step, so that a smoother that stopped a little early is no matter.
+    """Residuals by group at the smoothed trajectory x (N, size).
 
-    rng: for the coupling of the groups, None to leave that out. Raises GeometryError,
+    They are taken after one more Gauss-Newton step of the linearised problem, so that it does
+    not matter whether the smoother stopped a little early.
+
+    rng: for the coupling T of the groups, None to leave that out. Raises GeometryError,
     ModelError and EstimationError where the trajectory cannot be linearised.
     """
     assembly = Assembly.of(problem)
@@ -135,10 +141,11 @@ def noise_residuals(
 
 
 def estimate_factors(squares: Array, coupling: Array) -> tuple[Array, Array]:
-    """Factors of the variances (groups,), and their sigmas where all noises are true.
+    """Solve T f = squares: true over declared variances f (groups,), and their sigmas (groups,).
 
-    squares (groups,): summed over runs; coupling (groups, groups): T, summed over those runs. A
-    group that the data hardly test is left as declared: its factor is 1, its sigma infinite.
+    squares (groups,): e_i^T e_i summed over runs; coupling (groups, groups): T, summed over the
+    same runs. The sigmas sqrt(2 diag T^-1) hold where all declared noises are true. A group
+    that the data hardly test is left as declared: its factor is 1, its sigma infinite.
     """
     T = 0.5 * (coupling + coupling.T)
     keep = np.diag(T) > 10.0  # below, the factor itself would be known to 45 % at best

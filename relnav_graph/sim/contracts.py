@@ -8,7 +8,9 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.state import Block
+from relnav_graph.core.contracts import Dynamics
+from relnav_graph.core.measurement import InputSeries
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Truth
 
 __all__ = [
@@ -85,6 +87,14 @@ class Controller(Protocol):
 
 
 @runtime_checkable
+class KnownInput(Protocol):
+    """An input that is the same whatever is flown, and known exactly."""
+
+    def series(self, name: str, t_first: float, t_last: float) -> InputSeries:
+        """The input from t_first to t_last, s."""
+
+
+@runtime_checkable
 class Instrument(Protocol):
     """A simulated instrument whose readings are a process's input: a gyro, an accelerometer."""
 
@@ -106,7 +116,26 @@ class IntervalInstrument(Instrument, Protocol):
 
 @runtime_checkable
 class SimulatedTruth(Protocol):
-    """A truth that gives a whole pass at once."""
+    """A truth that gives a whole pass at once, whatever its inputs read."""
 
-    def simulate(self, *arguments: Any) -> Truth:
-        """True values of blocks at given times; the arguments depend on the truth."""
+    def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
+        """True values of blocks at times (N,), s. One with a chaser that turns has
+        ``mean_rate(t_start, t_end)`` too: the true mean of w_ci_c, (n, 3), rad/s, over each
+        interval, s, for its gyro."""
+
+
+@runtime_checkable
+class DrivenTruth(Protocol):
+    """A truth that follows from its inputs, by the estimators' own models."""
+
+    kind: ClassVar[str]
+
+    def follow(
+        self,
+        layout: Layout,
+        processes: Mapping[str, Dynamics],
+        inputs: Mapping[str, InputSeries],
+        times: Array,
+        rng: np.random.Generator,
+    ) -> Truth:
+        """True values of all blocks of the layout at times (N,), s."""

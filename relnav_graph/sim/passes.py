@@ -13,11 +13,9 @@ from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.sim.contracts import ControlledTruth, IntervalInstrument
-from relnav_graph.sim.instruments.constant_input import ConstantInput
+from relnav_graph.sim.contracts import ControlledTruth, DrivenTruth, IntervalInstrument, KnownInput
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
 from relnav_graph.sim.sensors import Timing, measure_all, stream
-from relnav_graph.sim.truths.own_models import OwnModels
 
 __all__ = [
     "simulate",
@@ -65,13 +63,15 @@ def simulate(
     layout = layout_of(processes, sensors)
     t0, t1 = float(times[0]), float(times[-1])
     series: dict[str, InputSeries] = {}
-    if isinstance(truth_model, OwnModels):
+    if isinstance(truth_model, DrivenTruth):
         for name, source in inputs.items():
-            if not isinstance(source, ConstantInput):
-                raise InputError(f"inputs.{name}: a truth of kind own_models wants constant_input")
+            if not isinstance(source, KnownInput):
+                raise InputError(
+                    f"inputs.{name}: a truth of kind {truth_model.kind} wants constant_input"
+                )
             series[name] = source.series(name, t0, t1)
         rng = stream(seed, run, "truth")
-        truth = truth_model.simulate(layout, processes, series, times, rng)
+        truth = truth_model.follow(layout, processes, series, times, rng)
     elif any(isinstance(source, IntervalInstrument) for source in inputs.values()):
         columns = {name: len(c) for p in processes.values() for name, c in p.inputs.items()}
         drawn = IntervalInputs(
@@ -81,7 +81,7 @@ def simulate(
     else:
         truth = truth_model.simulate(times, stream(seed, run, "truth"))
         for name, source in inputs.items():
-            if isinstance(source, ConstantInput):
+            if isinstance(source, KnownInput):
                 series[name] = source.series(name, t0, t1)
                 continue
             edges = source.edges(t0, t1)

@@ -1,7 +1,8 @@
 """The first epochs of a stream, held back until they give a first estimate (the prior).
 
-Each epoch is tried until one suffices; it says what is missing in those that do not. Where one
-leaves several hypotheses, the next few are held back, until they tell.
+Each epoch is tried until the measurements of one suffice; for those that do not, the error says
+what is missing. Where the first leaves several hypotheses (mirror poses), the next few epochs
+are held back too, until there are enough to tell them apart.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ __all__ = ["Beginning"]
 
 
 class Beginning:
-    """What is there before the first estimate.
+    """The state of a stream before its first estimate.
 
-    names: blocks to be measured; t: time of the newest epoch taken, s; epochs: those held
-    back, from the first that suffices on. The prior of the other blocks holds at the first
-    epoch taken, and moves on with the processes until one suffices.
+    names: blocks whose prior is to be measured; t: time of the newest epoch taken, s; epochs:
+    those held back, the first being the one that suffices. The prior of the other blocks holds
+    at the first epoch taken; until one suffices, the processes predict it to each epoch.
     """
 
     def __init__(self, problem: Problem, names: Sequence[str]) -> None:
@@ -36,9 +37,10 @@ class Beginning:
         self.epochs: list[Epoch] = []
 
     def take(self, epoch: Epoch) -> bool:
-        """Take an epoch, with the inputs since the one before; whether there is enough now.
+        """Take an epoch, with the inputs since the one before; whether `prior` can decide now.
 
-        Raises EstimationError, naming what is missing, when it cannot be the first.
+        Raises EstimationError, naming what is missing, when the first estimate cannot be made
+        from this epoch.
         """
         if self.epochs and epoch.t <= self.epochs[-1].t + SAME_TIME:
             for m in epoch.measurements:
@@ -62,7 +64,7 @@ class Beginning:
         return replace(self.problem, epochs=tuple(epochs))
 
     def _move_to(self, epoch: Epoch) -> None:
-        """Carry the prior to an epoch's time."""
+        """Predict the prior to an epoch's time."""
         if self.t is not None:
             p, ahead = self.problem, Epoch(epoch.t, (), epoch.inputs)
             assembly = Assembly(p.layout, p.processes, p.sensors, [ahead], self.t)

@@ -1,4 +1,4 @@
-"""Buffers of a stream: inputs over the window, and epochs that wait for their inputs."""
+"""Buffers of a stream: samples of inputs, and epochs that wait for their inputs."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class InputBuffer:
         return True
 
     def reach(self, t: float) -> float:
-        """How far the samples go on without a gap from t, s; t itself when they do not."""
+        """The time, s, up to which samples cover [t, ...] without a gap; t when none covers it."""
         for sample in self._from(t):
             if sample.t_start > t + SAME_TIME:
                 break
@@ -66,7 +66,7 @@ class InputBuffer:
         return InputSeries(self.name, edges[:, 0], edges[:, 1], values)
 
     def held(self, t0: float, t1: float) -> InputSeries:
-        """The samples of [t0, t1], s, and from where they end on the newest one."""
+        """The samples of [t0, t1], s; where they end before t1, the newest one is held to t1."""
         end = self.reach(t0)
         if end >= t1 - SAME_TIME or not self.samples:
             return self.series(t0, t1)
@@ -81,7 +81,7 @@ class InputBuffer:
         )
 
     def drop(self, t: float) -> None:
-        """Forget what ends before t, s, but for the newest of it."""
+        """Delete the samples that end by t, s, but the last of them, which may be held."""
         gone = bisect.bisect_right(self.samples, t, key=lambda s: s.t_end)
         del self.samples[: max(gone - 1, 0)]
 

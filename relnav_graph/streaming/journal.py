@@ -7,9 +7,9 @@ written to, and only at its end. A segment is the line ``relnav-journal 1``, the
     CRC-32 of these nine bytes (4)  content
 
 of types M (what the journal belongs to, JSON), S (snapshot of the state), L (a line in, as
-it came), F (a pause in the stream, at which what was complete was estimated, or its end) and
-O (a line out: its number and digest). A segment begins with M and S; what follows, done again from
-that snapshot, gives the same state and the same lines out. A new one is written under
+it came), F (a pause in the stream, at which all that waits is estimated, or its end) and O
+(a line out: its number and digest). A segment begins with M and S; its other records, replayed
+from that snapshot, give the same state and the same lines out. A new segment is written under
 another name, flushed to the disk and renamed, so that it is there whole or not at all, and
 the segments before it stay.
 
@@ -39,10 +39,11 @@ from typing import Any, Literal
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 
-__all__ = ["Journal", "JournalError", "Policy", "Record", "read_segment"]
+__all__ = ["Journal", "JournalError", "JournalRecord", "Policy", "read_segment"]
 
 Policy = Literal["always", "interval", "never"]
-Record = tuple[bytes, bytes]
+#: Type and content.
+JournalRecord = tuple[bytes, bytes]
 _MAGIC, _VERSION = b"relnav-journal ", 1
 _HEAD = struct.Struct("<cII")
 _CHECK = struct.Struct("<I")
@@ -72,17 +73,17 @@ def _first_line(path: Path, data: bytes) -> int:
     return end + 1
 
 
-def read_segment(path: Path, last: bool) -> tuple[list[Record], int]:
+def read_segment(path: Path, last: bool) -> tuple[list[JournalRecord], int]:
     """Records of a segment, and the offset where they end.
 
-    last: it may stop short within a record, which is then left out. Raises JournalError,
-    naming file and offset, on anything else that is not as it was written.
+    last: whether it is the last segment, which may end within a record, then left out. Raises
+    JournalError, naming file and offset, on anything else that is not as it was written.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise JournalError(f"{path}: cannot be read: {error.strerror}") from error
-    at, records = _first_line(path, data), list[Record]()
+    at, records = _first_line(path, data), list[JournalRecord]()
     fixed = _HEAD.size + _CHECK.size
     while at < len(data):
         head = data[at : at + _HEAD.size]
@@ -109,9 +110,9 @@ def read_segment(path: Path, last: bool) -> tuple[list[Record], int]:
 class Journal:
     """The journal in a folder, opened for one process.
 
-    snapshot, records: where to go on from, and what came after it; snapshot is b"" for a
-    new journal, which begins with :meth:`rotate`. identity: what it belongs to. cut: bytes
-    of a torn record that were removed.
+    snapshot, records: the state to resume from, and the records after it; snapshot is b"" for
+    a new journal, which begins with :meth:`rotate`. identity: the run that it belongs to, as
+    keys and values. cut: bytes of a torn record that were removed. policy: when to sync.
     Raises JournalError when it is damaged, of another version, or in use.
     """
 
@@ -145,7 +146,7 @@ class Journal:
         """Its segments, oldest first."""
         return sorted(p for p in self.folder.iterdir() if re.fullmatch(r"\d{8}\.journal", p.name))
 
-    def _open(self) -> tuple[bytes, list[Record]]:
+    def _open(self) -> tuple[bytes, list[JournalRecord]]:
         segments = self.segments()
         for leftover in self.folder.glob(".*.journal.*"):
             shutil.rmtree(leftover)  # of a segment that a kill kept from being renamed
@@ -172,11 +173,11 @@ class Journal:
         self.identity = dict(identity)
 
     def append(self, kind: bytes, content: bytes = b"") -> None:
-        """Add a record. Raises JournalError when it cannot be written; nothing is then."""
+        """Add a record. Raises JournalError, with no part of it written, when that fails."""
         data = _encode(kind, content)
         start = os.lseek(self._file, 0, os.SEEK_CUR)
         try:
-            while data:  # what finds no room is refused at the second call
+            while data:  # a full disk takes a part at first, and raises at the next call
                 data = data[os.write(self._file, data) :]
             if self.policy == "always":
                 os.fdatasync(self._file)
@@ -190,7 +191,7 @@ class Journal:
             self.sync()
 
     def sync(self) -> None:
-        """Push what was written to the disk."""
+        """Flush what was written to the disk."""
         os.fdatasync(self._file)
         self._synced = time.monotonic()
 
@@ -213,7 +214,7 @@ class Journal:
         os.close(folder)
 
     def close(self) -> None:
-        """Push it to the disk and let go of it."""
+        """Flush it to the disk, unless by policy "never", and release the folder."""
         if self._file >= 0:
             if self.policy != "never":
                 os.fdatasync(self._file)

@@ -18,11 +18,11 @@ PATIENCE = 30.0
 class Options:
     """How a stream is read.
 
-    max_gap: a line whose time is further than this, s, from the newest one heard of is of
-    another clock; patience: how long, s of the stream's time, a measurement waits for
-    inputs before a gap in them is bridged, None for the window's length, or `PATIENCE`
-    without one; predict_to_now: add the state at the newest time
-    heard of.
+    max_gap: a line whose time is further than this, s, from the newest time of arrival is
+    taken to be of another clock; patience: how long, s of the stream's time, a measurement
+    waits for inputs before a gap in them is bridged, None for the length of the estimator's
+    window, or `PATIENCE` without one; predict_to_now: add the prediction to the newest time
+    of arrival to each line out.
     """
 
     max_gap: float = 3600.0

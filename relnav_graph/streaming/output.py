@@ -1,4 +1,4 @@
-"""Where the lines out go: each one once, also over a kill."""
+"""Where the lines out go: each one exactly once, also when the process is killed and resumed."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from relnav_graph.errors import InputError
 
 __all__ = ["Output"]
 
+#: Bytes at the end of a file in which its last whole line is looked for.
 _TAIL = 1 << 22
 
 
 class Output:
-    """Standard output, or a file that goes on where it ends.
+    """Standard output, or a file.
 
-    done: number of the last line that is there already, -1 for none. With `goes_on`, a file
-    goes on where it ends: what a kill left of a line is cut off, and its last whole line
-    says what is done. What was written to a pipe only the journal knows: see `resume`.
-    Raises InputError when a file cannot be written or was not written by a stream.
+    done: number of the last line that is there already, -1 for none. With `goes_on`, lines are
+    appended to a file: a partial line that a kill left is cut off, and the last whole one says
+    what is done; else the file is emptied. What went into a pipe only the journal knows: see
+    `resume`. waiting: wraps each wait for room, so that a signal may end it. Raises InputError
+    when a file cannot be written or was not written by a stream.
     """
 
     def __init__(
@@ -43,8 +45,9 @@ class Output:
                 self.done = self._mend()
 
     def resume(self, kept: int, done: int) -> None:
-        """Go on after a kill. kept: the last line before those that come again; done: the
-        last one that is known to have gone out. Raises InputError when a file lacks some."""
+        """Resume after a kill. kept: number of the last line before those of the replay; done:
+        of the last one that, by the journal, has gone out. Raises InputError when a file ends
+        before `kept`: it then lacks lines that are not made again."""
         if self.path is None:
             self.done = done
         elif self.done < kept:
@@ -85,14 +88,14 @@ class Output:
         self.done = seq
 
     def _wait(self) -> None:
-        """Until there is room for so many bytes; only here may a signal break it off, so that
-        it is known what went out."""
+        """Wait until the output takes bytes. Only here may a signal end the stream, so that it
+        is known what went out."""
         if not select.select([], [self._descriptor], [], 0)[1]:
             with self._waiting:
                 select.select([], [self._descriptor], [])
 
     def close(self) -> None:
-        """Let go of a file."""
+        """Flush a file to the disk and close it."""
         if self.path is not None:
             if stat.S_ISREG(os.fstat(self._descriptor).st_mode):
                 os.fsync(self._descriptor)

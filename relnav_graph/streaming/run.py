@@ -1,4 +1,4 @@
-"""The loop of a stream: read a line, journal it, take it in, write what comes of it."""
+"""The loop of a stream: read a line, journal it, process it, write the lines that result."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
-from relnav_graph.streaming.journal import Journal, JournalError, Record
+from relnav_graph.streaming.journal import Journal, JournalError, JournalRecord
 from relnav_graph.streaming.lines import Header, dump
 from relnav_graph.streaming.output import Output
 from relnav_graph.streaming.saved import header_in
 from relnav_graph.streaming.session import Session
 
-__all__ = ["Interrupted", "Interrupts", "Recorder", "journaled_header", "run"]
+__all__ = ["Interrupted", "Interrupts", "JournaledSession", "journaled_header", "run"]
 
-_OFFSET = struct.Struct("<q")
-_DIGEST = struct.Struct("<qI")
+_OFFSET = struct.Struct("<q")  # of the source, bytes, before a snapshot and each line in
+_DIGEST = struct.Struct("<qI")  # number and CRC-32 of a line out
 
 
 class Interrupted(Exception):
@@ -35,7 +35,8 @@ class Interrupted(Exception):
 class Interrupts:
     """Ctrl-C and SIGTERM end the stream between two lines, never within an update.
 
-    As a context, one in which it waits for others: there the signal breaks it off at once.
+    Used as a context manager around a wait, for input or for a reader of the output: there a
+    signal raises Interrupted at once.
     """
 
     def __init__(self) -> None:
@@ -44,7 +45,7 @@ class Interrupts:
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Mind the signals; only the main thread of a process can."""
+        """Handle the signals; without effect outside the main thread, which alone can."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -89,11 +90,11 @@ def journaled_header(journal: Journal) -> Header:
     return header_in(journal.snapshot[_OFFSET.size :])
 
 
-class Recorder:
-    """A session with its journal, if it has one.
+class JournaledSession:
+    """A session, with a journal of what goes in and out, if it has one.
 
-    offset: of the source, up to where its lines are in the journal, bytes; skipped: lines
-    that came again; kept, done: see `Output.resume`.
+    every: lines between snapshots; offset: bytes of the source whose lines are processed, or
+    in the journal; skipped: number of lines that were repeats; kept, done: see `Output.resume`.
     """
 
     def __init__(self, session: Session, journal: Journal | None, every: int) -> None:
@@ -103,10 +104,10 @@ class Recorder:
         self._fresh = 0  # lines since the last snapshot
 
     def begin(self) -> list[dict[str, Any]]:
-        """Go on where the journal ends: the lines out since its last snapshot, again.
+        """Resume where the journal ends: load its last snapshot and replay the records after it.
 
-        Raises JournalError when they come out otherwise than they did: on another platform,
-        say, or with another version of a library.
+        Returns the lines out of the replay. Raises JournalError when they differ from those
+        in the journal: on another platform, say, or with another version of a library.
         """
         if self.journal is None:
             return []
@@ -127,7 +128,8 @@ class Recorder:
         self._fresh = self.every  # the next line in begins a new segment
         return out
 
-    def _verify(self, out: list[dict[str, Any]], records: list[Record]) -> int:
+    def _verify(self, out: list[dict[str, Any]], records: list[JournalRecord]) -> int:
+        """Compare the lines of the replay with the journal; number of its last line out."""
         found = {line["seq"]: _digest(line) for line in out}
         seq = self.kept
         for content in (content for kind, content in records if kind == b"O"):
@@ -148,7 +150,7 @@ class Recorder:
         self._fresh = 0
 
     def take(self, raw: bytes) -> list[dict[str, Any]]:
-        """Take in a line; the lines out."""
+        """Journal and process a line; the lines out. A repeat is skipped."""
         line, end = self.session.parse(raw), self.offset + len(raw) + 1
         if not self.session.repeats(line):
             if self.journal is not None:
@@ -177,31 +179,33 @@ class Recorder:
         return out + self.session.end()
 
     def told(self, line: dict[str, Any]) -> None:
-        """A line went out."""
+        """Note in the journal that a line went out."""
         if self.journal is not None:
             self.journal.append(b"O", _digest(line))
 
 
-def _write(recorder: Recorder, output: Output, lines: list[dict[str, Any]], begun: float) -> None:
+def _write(
+    session: JournaledSession, output: Output, lines: list[dict[str, Any]], begun: float
+) -> None:
     for line in lines:
         fresh = line["seq"] > output.done
         latency = round(1e3 * (time.perf_counter() - begun), 3)
         output.write(line["seq"], dump({**line, "latency_ms": latency}))
         if fresh:
-            recorder.told(line)
+            session.told(line)
 
 
 def run(
-    recorder: Recorder, lines: Iterable[bytes | None], output: Output, interrupts: Interrupts
+    session: JournaledSession, lines: Iterable[bytes | None], output: Output, interrupts: Interrupts
 ) -> None:
     """Run a stream to its end. Raises Interrupted on a signal; the journal is intact then,
     and after whatever else is raised."""
     begun = time.perf_counter()
-    again = recorder.begin()
-    output.resume(recorder.kept, recorder.done)
-    _write(recorder, output, again, begun)
+    again = session.begin()
+    output.resume(session.kept, session.done)
+    _write(session, output, again, begun)
     for raw in lines:
         interrupts.check()
         begun = time.perf_counter()
-        _write(recorder, output, recorder.pause() if raw is None else recorder.take(raw), begun)
-    _write(recorder, output, recorder.end(), begun)
+        _write(session, output, session.pause() if raw is None else session.take(raw), begun)
+    _write(session, output, session.end(), begun)

@@ -1,4 +1,7 @@
-"""A session as bytes: its own state as JSON, with the estimator's arrays."""
+"""A session as bytes, for snapshots: its own state as JSON, with the estimator's arrays.
+
+The functions whose names end in ``_in`` read back what the others wrote.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ _OWN = "session"
 
 
 def pack(own: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
-    """JSON and named arrays, of any shape, as bytes; the same state gives the same bytes."""
+    """JSON and named arrays, each of any shape (n, ...), as bytes; the same for the same state."""
     stream = io.BytesIO()
     text = np.frombuffer(json.dumps(own).encode(), dtype=np.uint8)
     everything: dict[str, Any] = {_OWN: text, **arrays}
@@ -38,7 +41,7 @@ def pack(own: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
 
 
 def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The JSON object and the named arrays, of any shape, that `pack` was given."""
+    """The JSON object and the named arrays, each of any shape (n, ...), given to `pack`."""
     with np.load(io.BytesIO(data), allow_pickle=False) as found:
         arrays = {name: found[name] for name in found}
     return json.loads(arrays.pop(_OWN).tobytes()), arrays

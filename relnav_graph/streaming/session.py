@@ -1,12 +1,12 @@
-"""One stream from its first line to its last: what is taken in when, and what is said of it.
+"""One stream from its first line to its last: when a line is processed, and what is answered.
 
 Lines come in any order. Measurements wait until the inputs reach their time and until
 something has arrived after them, so that all that arrives at one moment is one update; then
-they are taken in by order of validity. What comes after a newer epoch is put where it
-belongs, as long as the window holds its time.
+their epochs are estimated in order of the time of validity. A measurement that comes after a
+newer epoch is inserted at its own time, as long as the estimator's window holds that time.
 
-The state of a session depends on its lines and on the pauses told to it, on nothing else: no
-clock, no chance. So the journal needs no more than those.
+The state of a session depends on its lines and on the pauses between them alone: on no clock
+and no random number. So a journal of lines and pauses is enough to replay it.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from relnav_graph.streaming.right_units import check_inputs, misfits
 
 __all__ = ["Options", "Parsed", "Session"]
 
-Output = dict[str, Any]
+LineOut = dict[str, Any]
 
 
 class Session:
-    """Estimates from lines. problem: its models and prior; its epochs are not used.
+    """An online estimator fed with lines.
 
     online: the estimator, which has taken in nothing yet; header: of the stream; measured:
     blocks whose prior is to be taken from the first epochs; origin: s, taken off the times of
@@ -72,10 +72,10 @@ class Session:
         self._derived = derived_quantities(problem.layout)
         self._waiting = Waiting()
         self._inputs = Inputs({name: InputBuffer(name) for name in self.columns})
-        self._heard = -np.inf
-        self._last = -1  # number of the last line
+        self._heard = -np.inf  # newest time of arrival, s: the "now" of the stream
+        self._last = -1  # number `n` of the last line in
         self._notes: list[dict[str, Any]] = []  # rejected since the last line out
-        self._fits: set[str] = set()  # sensors whose unit is right
+        self._fits: set[str] = set()  # sensors whose unit was checked and is right
         self._bridged = -np.inf  # end of the last gap in the inputs that was bridged
         self._beginning = Beginning(problem, measured) if measured else None
         self._doubt = ""  # of the prior that was measured
@@ -88,7 +88,7 @@ class Session:
     # --- lines in ------------------------------------------------------------------------
 
     def parse(self, raw: bytes) -> Parsed:
-        """What a line says; changes nothing."""
+        """The content of a line, checked; changes no state."""
         try:
             return Parsed(*parse_line(raw, self.problem.sensors, self.columns, self._origin))
         except LineError as error:
@@ -98,8 +98,8 @@ class Session:
         """Whether a line is a repetition, by the sender, of an earlier one."""
         return line.n is not None and line.n <= self._last
 
-    def take(self, line: Parsed) -> list[Output]:
-        """Take a line in; the lines out that it brings about."""
+    def take(self, line: Parsed) -> list[LineOut]:
+        """Process a line in; the lines out that result."""
         self.lines += 1
         self._last = self._last if line.n is None else line.n
         item = line.item
@@ -112,16 +112,16 @@ class Session:
             self._hear(item)
         return self._advance(everything=False)
 
-    def pause(self) -> list[Output]:
-        """The stream has come to a pause, or its end: no more arrives for the moment."""
+    def pause(self) -> list[LineOut]:
+        """The lines out at a pause: the newest epoch need not wait for a later arrival."""
         return self._advance(everything=True)
 
     @property
     def busy(self) -> bool:
-        """Whether a pause could bring anything about."""
+        """Whether epochs wait, so that a pause could give lines out."""
         return bool(self._waiting.epochs)
 
-    def end(self) -> list[Output]:
+    def end(self) -> list[LineOut]:
         """The end of the stream, and of what still waits; the last line, if any is due."""
         out = self._begun() if self._beginning is not None and self._beginning.epochs else []
         out += self._advance(everything=True, ended=True)
@@ -144,7 +144,7 @@ class Session:
                 self._reject(m.sensor, m.t, i, reason)
 
     def _hear(self, item: Measurement | InputSample | Tick) -> None:
-        """Keep a measurement, an input or an epoch; reject it when its times cannot be right."""
+        """Buffer a measurement, an input or an epoch; reject it when its times are wrong."""
         name = item.name if isinstance(item, InputSample) else getattr(item, "sensor", None)
         t = item.t_end if isinstance(item, InputSample) else item.t
         arrival = t if item.t_arrival is None else item.t_arrival
@@ -195,10 +195,10 @@ class Session:
 
     @property
     def _reached(self) -> float | None:
-        """Time of the newest epoch taken in, or held back, s."""
+        """Time of the newest epoch estimated, or held back before the first estimate, s."""
         return self.online.t if self._beginning is None else self._beginning.t
 
-    def _advance(self, everything: bool, ended: bool = False) -> list[Output]:
+    def _advance(self, everything: bool, ended: bool = False) -> list[LineOut]:
         """Take in the epochs that are complete, in order of time; in the end, all of them."""
         out = []
         while self._waiting.epochs:
@@ -238,8 +238,8 @@ class Session:
         """Inputs of each process from the newest epoch on to t."""
         return self._inputs.since(self.problem, now, t, hold)
 
-    def _begin(self, epoch: WaitingEpoch, beginning: Beginning) -> list[Output]:
-        """Take an epoch before there is an estimate."""
+    def _begin(self, epoch: WaitingEpoch, beginning: Beginning) -> list[LineOut]:
+        """Process an epoch before there is an estimate."""
         now = beginning.t
         try:
             inputs = {} if now is None or epoch.t <= now else self._since(now, epoch.t)
@@ -249,18 +249,18 @@ class Session:
             return [self._line(epoch.t, "LOST", str(error), None)]
         return self._begun() if enough else []
 
-    def _begun(self) -> list[Output]:
-        """Take in the epochs that were held back, beginning at the prior made from them."""
+    def _begun(self) -> list[LineOut]:
+        """Make the prior from the epochs that were held back, and estimate them from it."""
         assert self._beginning is not None
         held, (prior, self._doubt) = self._beginning.epochs, self._beginning.prior()
         self._beginning, self.online = None, self.online.from_prior(prior)
         self.problem = self.online.problem
-        out = list[Output]()
+        out = list[LineOut]()
         for e in held:
             out += self._estimate(WaitingEpoch(e.t, e.t, list(e.measurements)))
         return out
 
-    def _estimate(self, epoch: WaitingEpoch) -> list[Output]:
+    def _estimate(self, epoch: WaitingEpoch) -> list[LineOut]:
         if self._beginning is not None:
             return self._begin(epoch, self._beginning)
         now, measurements = self.online.t, tuple(epoch.measurements)
@@ -294,7 +294,7 @@ class Session:
         self._begun_at = t
         self.cautions = () if t is None else self.problem.cautions_from(t)
 
-    def _found(self, found: Estimate) -> Output:
+    def _found(self, found: Estimate) -> LineOut:
         status, message = found.status, found.message
         if status == "OK" and found.t <= self._bridged + self._patience:
             status, message = "DEGRADED", f"the inputs had a gap until {self._bridged} s"
@@ -303,8 +303,8 @@ class Session:
             message = "; ".join(filter(None, [message, self._doubt]))
         return self._line(found.t, status, message, (found.x, found.P))
 
-    def _without(self, t: float, reason: str) -> Output:
-        """The line of an epoch that could not be taken in: the prediction to it."""
+    def _without(self, t: float, reason: str) -> LineOut:
+        """The line out of an epoch whose update failed: the prediction to it."""
         now, status = self.online.t, self.online.health(t)[0]
         status = "DEGRADED" if status == "OK" else status
         try:
@@ -316,11 +316,11 @@ class Session:
 
     def _line(
         self, t: float | None, status: str, message: str, found: tuple[Array, Array] | None
-    ) -> Output:
+    ) -> LineOut:
         self.status = status
         if self._begun_at is None:
             self._begin_at(t)
-        line: Output = {"seq": self.seq, "t": t, "status": status, "message": message}
+        line: LineOut = {"seq": self.seq, "t": t, "status": status, "message": message}
         if self.cautions:
             line["cautions"] = [vars(c) for c in self.cautions]
         line["estimate"] = None if found is None else self._object(*found)
@@ -334,7 +334,7 @@ class Session:
         return estimate_object(self.problem.layout, self._derived, x, P)
 
     def _now(self, t: float, found: tuple[Array, Array]) -> dict[str, Any]:
-        """The state at the newest time heard of; where inputs end, the newest ones go on."""
+        """The prediction to the newest time of arrival; inputs are held beyond their end."""
         newest = self.online.t
         if newest is not None and t == newest and self._heard > t + SAME_TIME:
             try:
@@ -347,7 +347,7 @@ class Session:
     # --- as bytes --------------------------------------------------------------------------
 
     def save(self) -> bytes:
-        """All of its state."""
+        """All of its state as bytes."""
         own = {
             "header": saved.header_object(self.header),
             "rejected": self.rejected,

@@ -1,8 +1,8 @@
 """Where lines come from: standard input, a file (that may grow), a TCP socket on loopback.
 
 A source is read only when its lines are wanted: what is not read yet waits in the pipe, the
-file or the socket, and memory stays flat. None in place of a line says that for the moment
-there is no more.
+file or the socket, and memory stays flat. None in place of a line tells of a pause: nothing
+more has come for the moment.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _LOOK = 0.01
 class Source:
     """Lines of a descriptor.
 
-    settle: a pause of so many s is told as None. follow: for a file, wait at its end for
+    settle: after so many s without data, one None. follow: at the end of a file wait for
     more, for `patience` s at most (None: for ever). waiting: wraps each wait, so that a
-    signal may break it off.
+    signal may end it.
     """
 
     def __init__(

@@ -1,5 +1,5 @@
-"""Records of many runs, added up: one at a time, in order, so that memory stays flat and
-the last digit does not depend on who ran what."""
+"""Records of many runs, added up one at a time, in the order of their numbers: memory stays
+flat, and the last digit does not depend on which worker made which run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Kind
-from relnav_graph.study.record import Record
+from relnav_graph.study.record import RunRecord
 
 __all__ = ["Collected", "RowRuns", "collect"]
 
@@ -44,8 +44,12 @@ class _Sum:
 class RowRuns:
     """One row (a track of an estimator) over the runs in which it exists.
 
-    state: of each state and key, one number per run, NaN where there is none; the same
-    for sensor (innovations) and for the row as a whole.
+    Lists have one number per run, NaN where the run has none: own (of the row as a whole:
+    "anees", "cost"), timing (by what was timed), state (by state and key, such as "rmse"),
+    sensor (of innovations, by sensor and key), squares (of whitened residuals, by noise).
+    Sums over runs, for means: series (states + 1, 3, bins), nis (sensors, bins), coupling
+    (noises, noises). freedoms: degrees of freedom of one run, by state, and "joint"; bad:
+    run, status and message where the status is not ok; rejected: observations, by sensor.
     """
 
     kind: Kind = "filtered"
@@ -73,8 +77,13 @@ class RowRuns:
 
 @dataclass(eq=False)
 class Collected:
-    """All runs; bound: 1-sigma by kind and state, one number per run; own_bound: by row and
-    state, where each estimator flies a pass of its own."""
+    """All runs of a study.
+
+    runs: their numbers; failed: number and reason of those without a result; bound: 1-sigma
+    of the lower bound by kind and state, one number per run; own_bound: by row and state,
+    where each estimator flies a pass of its own; bound_series: by kind, as `RowRuns.series`;
+    mcreynolds: by filtered row, smoothed row, state and key, one number per run.
+    """
 
     runs: list[int] = field(default_factory=list)
     rows: dict[str, RowRuns] = field(default_factory=dict)
@@ -90,7 +99,7 @@ def _number(value: Any) -> float:
 
 
 def _put(table: dict[Any, list[float]], key: Any, value: Any, before: int) -> None:
-    """Append a number; runs before the first one have none."""
+    """Append a number to a column, filled up with NaN for the `before` earlier runs."""
     column = table.setdefault(key, [])
     column += [np.nan] * (before - len(column))
     column.append(_number(value))
@@ -118,7 +127,7 @@ def _add_row(row: RowRuns, scalars: Mapping[str, Any], run: int, before: int) ->
             _put(row.sensor, (sensor, key), value, before)
 
 
-def _add(found: Collected, record: Record) -> None:
+def _add(found: Collected, record: RunRecord) -> None:
     scalars, run, before = record.scalars, int(record.scalars["run"]), len(found.runs)
     found.runs.append(run)
     if "failed" in scalars:
@@ -156,7 +165,7 @@ def _add(found: Collected, record: Record) -> None:
 
 
 def _pad(found: Collected) -> None:
-    """Numbers of all runs in every column, also where the last runs have none."""
+    """Fill every column up with NaN, so that all have one number per run."""
     tables: list[dict[Any, list[float]]] = [found.bound, found.own_bound, found.mcreynolds]
     for row in found.rows.values():
         tables += [row.own, row.timing, row.state, row.sensor, row.squares]
@@ -165,7 +174,7 @@ def _pad(found: Collected) -> None:
             column += [np.nan] * (len(found.runs) - len(column))
 
 
-def collect(records: Iterable[Record]) -> Collected:
+def collect(records: Iterable[RunRecord]) -> Collected:
     """Records, in the order of their runs, added up."""
     found = Collected()
     for record in records:

@@ -14,7 +14,7 @@ from relnav_graph.scenario.build import make_scenario
 from relnav_graph.study.collect import Collected, collect
 from relnav_graph.study.execute import execute
 from relnav_graph.study.folder import StudyFolder
-from relnav_graph.study.record import Record
+from relnav_graph.study.record import RunRecord
 from relnav_graph.study.runs import prepare, run_record
 from relnav_graph.study.summary import rmse_precision, summarize
 from relnav_graph.study.verdict import verdict
@@ -54,8 +54,8 @@ def do_runs(
     workers: Workers | None = None,
     listener: Listener = _silent,
 ) -> dict[int, str]:
-    """Make the runs that the folder lacks. Gives those that were lost with their workers,
-    and why: they have no record, and are tried again next time.
+    """Make the runs that the folder lacks. Returns the runs that were lost with their workers,
+    with the reason: they have no record, and are tried again next time.
 
     Raises InputError when a record cannot be written, EstimationError when an executor
     that was given breaks; what is done stays.
@@ -92,11 +92,12 @@ def do_until(
     workers: Workers | None = None,
     listener: Listener = _silent,
 ) -> tuple[int, dict[int, str]]:
-    """Runs until every RMSE is known to `precision` (half the width of its interval in
-    parts of it), at most `most`. Gives their number, and the lost ones.
+    """Make runs until every RMSE is known to `precision`, but not more than `most`.
 
-    Looked at after 10, 15, 22, ... runs, growing by half, so that the number does not
-    depend on who is quick.
+    precision: half the width of the 95 % interval of an RMSE, divided by the RMSE. Returns the
+    number of runs, and those that were lost, with the reason. The precision is checked after
+    10, 15, 22, ... runs, half as many again each time, and not after each run, so that the
+    number does not depend on which worker is quick.
     """
     count, lost = min(10, most), dict[int, str]()
     while True:
@@ -122,7 +123,7 @@ def merge(target: Path, sources: Sequence[Path]) -> StudyFolder:
         there = set(merged.runs())
         for run in folder.runs():
             content = folder.read_bytes(run)
-            Record.from_bytes(content, str(source))
+            RunRecord.from_bytes(content, str(source))
             if run not in there:
                 merged.write(run, content)
     return merged

@@ -1,8 +1,8 @@
 """Spreading runs over workers, of any `concurrent.futures` executor.
 
 A worker may die (out of memory, a machine taken away): the runs it had are given out
-again. Which of them did it harm is not known, so they are then tried one at a time; a run
-that loses its worker when alone, or fails to come back three times, is given up.
+again. Which of them killed it is not known, so they are then tried one at a time; a run
+that loses its worker when alone, or is lost three times, is given up.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def _fill(
 def execute(
     task: Task, runs: Iterable[int], jobs: int, executor: Executor | None = None
 ) -> Iterator[tuple[int, bytes | str]]:
-    """Each run with its result, in the order in which they come; a text says why there is
-    none.
+    """Yield each run with its result, in the order of completion; for a run that was given up,
+    a text that says why takes the place of the result.
 
-    jobs: workers, so that twice as many runs are out at a time, which bounds the memory;
-    executor: whose they are, by default local processes, which are replaced when they
-    break. Raises EstimationError when an executor that was given breaks.
+    jobs: number of workers; twice as many runs are handed out at a time, which bounds the
+    memory; executor: by default a pool of local processes, replaced when it breaks. Raises
+    EstimationError when an executor that was given breaks.
     """
     queue, lost, pending = deque(runs), Counter[int](), dict[Future[bytes], int]()
     pool = local_processes(jobs) if executor is None else executor

@@ -13,7 +13,7 @@ from typing import Any
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.scoring.metrics import versions
-from relnav_graph.study.record import Record
+from relnav_graph.study.record import RunRecord
 from relnav_graph.study.runs import StudySpec
 
 __all__ = ["StudyFolder"]
@@ -34,10 +34,10 @@ def _difference(path: str, found: Any, expected: Any) -> str | None:
 
 
 class StudyFolder:
-    """Records on disk.
+    """The records of a study on disk.
 
-    rerun: the command that makes one run alone, but for its number; a folder that is there
-    already has its own. Raises InputError on a folder of another study.
+    rerun: the command that makes one run alone, without its ``--run`` number; a folder that
+    exists keeps the one it has. Raises InputError on a folder of another study.
     """
 
     def __init__(self, path: Path, spec: StudySpec, rerun: str = "") -> None:
@@ -87,10 +87,10 @@ class StudyFolder:
         """The record of a run as it was written."""
         return self._file(run).read_bytes()
 
-    def records(self, runs: list[int]) -> Iterator[Record]:
+    def records(self, runs: list[int]) -> Iterator[RunRecord]:
         """Records one after the other. Raises InputError on a damaged one."""
         for run in runs:
-            record = Record.from_bytes(self.read_bytes(run), str(self._file(run)))
+            record = RunRecord.from_bytes(self.read_bytes(run), str(self._file(run)))
             if record.scalars.get("run") != run:
                 found = record.scalars.get("run")
                 raise InputError(f"{self._file(run)}: found run {found}, expected {run}")

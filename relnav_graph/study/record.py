@@ -1,8 +1,8 @@
 """The record of one run of a study: of a fixed size, however long the pass.
 
-A record holds scalars of each run, which intervals over runs need, and series over the
-pass in at most `BINS` bins, which are summed over runs. So the memory of a study does not
-grow with its runs, and its folder only by some hundred kilobytes a run.
+A record holds scalars, kept for each run because intervals over runs need them, and series
+over the pass in at most `BINS` bins, which are summed over runs. So the memory of a study
+does not grow with its runs, and its folder only by some hundred kilobytes a run.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ from relnav_graph.scoring.deviations import (
 from relnav_graph.scoring.metrics import Score, score_of, step_ms, with_smoothed
 from relnav_graph.scoring.variance_components import noise_residuals
 
-__all__ = ["BINS", "Record", "make_record"]
+__all__ = ["BINS", "RunRecord", "make_record"]
 
+#: Most intervals of time into which the epochs of a pass are averaged.
 BINS = 100
 #: Runs in which the coupling of the noises is estimated: it hardly differs between runs.
 COUPLED_RUNS = 8
@@ -44,8 +45,13 @@ SERIES = ("squared_error", "nees", "trace")
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
-    """Of one run: scalars, a tree that JSON can hold, and series, arrays by name."""
+class RunRecord:
+    """What a study keeps of one run: scalars, a tree that JSON can hold, and series by name.
+
+    Series: ``ROW`` (states + 1, 3, bins), see `SERIES`; ``nis ROW`` (sensors, bins); ``bound
+    KIND`` (states + 1, 3, bins); ``coupling ROW`` (noises, noises). Scalars: ``rows``,
+    ``bound``, ``noise``, ``timing``, ``mcreynolds``, each by row or kind; or ``failed``.
+    """
 
     scalars: Mapping[str, Any]
     series: Mapping[str, Array]
@@ -58,12 +64,12 @@ class Record:
         return image.getvalue()
 
     @staticmethod
-    def from_bytes(content: bytes, where: str) -> Record:
+    def from_bytes(content: bytes, where: str) -> RunRecord:
         """The inverse of :meth:`to_bytes`. Raises InputError on damaged content."""
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
-            return Record(json.loads(arrays.pop("scalars").tobytes()), arrays)
+            return RunRecord(json.loads(arrays.pop("scalars").tobytes()), arrays)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise InputError(f"{where}: not a readable record of a run: {error}") from error
 
@@ -74,7 +80,7 @@ def bin_edges(count: int) -> Indices:
 
 
 def _binned(at: Indices, values: Array, count: int) -> Array:
-    """Means over bins of values (m, ...) at epochs `at`; NaN where a bin has none."""
+    """Means (bins,) of values (m,) at the epochs `at` (m,) of `count`; NaN in an empty bin."""
     edges = bin_edges(count)
     where = np.searchsorted(edges, at, side="right") - 1
     n = len(edges) - 1
@@ -84,8 +90,8 @@ def _binned(at: Indices, values: Array, count: int) -> Array:
 
 
 def _settled(s: StateErrors, bound: StateEstimates | None) -> float | None:
-    """Time from the first epoch, s, after which the error stays within three sigma of
-    what the bound comes to (its largest over the second half). None: never."""
+    """Time of convergence from the first epoch, s: from then on |e|^2 <= 9 max(trace P_bound),
+    the maximum over the second half of the pass. None where the error never settles."""
     if bound is None:
         return None
     trace = np.trace(bound.P, axis1=1, axis2=2)
@@ -105,7 +111,8 @@ def _state_scalars(name: str, score: Score, settled: float | None) -> dict[str, 
 
 
 def _innovation_scalars(i: Innovations) -> dict[str, float]:
-    """NIS, and the product of each innovation with the one before, over shared rows."""
+    """Sums over a pass: NIS = sum_k v_k^T v_k, and the lag product sum_k v_k^T v_k-1 of
+    whitened innovations v, over the residual rows that both epochs have."""
     shared = np.minimum(i.rows[1:], i.rows[:-1])
     pairs = zip(i.offsets[:-2], i.offsets[1:-1], shared, strict=True)
     product = sum(float(i.v[a : a + m] @ i.v[b : b + m]) for a, b, m in pairs)
@@ -120,8 +127,11 @@ def _innovation_scalars(i: Innovations) -> dict[str, float]:
 def _mcreynolds(
     filtered: Mapping[str, StateEstimates], smoothed: Mapping[str, StateEstimates]
 ) -> dict[str, dict[str, float]]:
-    """Filter-smoother consistency (McReynolds 1980; Gelb 1974, sec. 5.4; Jerath, Lichten):
-    the difference of both estimates has the covariance P_f - P_s where both are right."""
+    """Filter-smoother consistency (McReynolds 1980; Gelb 1974, sec. 5.4; Jerath, Lichten).
+
+    The difference d of both estimates has the covariance P_f - P_s where both are right: the
+    mean of d_i^2 / (P_f - P_s)_ii over epochs and components, and the fraction below 3^2.
+    """
     found = {}
     for name, f in filtered.items():
         s = smoothed.get(name)
@@ -143,13 +153,16 @@ def _mcreynolds(
 
 @dataclass(frozen=True, eq=False)
 class _Row:
+    """A track with its estimates, and its errors where truth knows them, by state."""
+
     track: Track
     states: Mapping[str, StateEstimates]
     found: Mapping[str, StateErrors]
 
 
 def _series(row: _Row, order: Sequence[str]) -> Array:
-    """(states + 1, 3, bins): of each state, and last of all blocks jointly (NEES only)."""
+    """Means (states + 1, 3, bins) of the three `SERIES`: of each state in `order`, then of all
+    blocks jointly, for which there is NEES only."""
     t, count = row.track.t, len(row.track.t)
     out = np.full((len(order) + 1, len(SERIES), len(bin_edges(count)) - 1), np.nan)
     epochs = np.arange(count)
@@ -170,7 +183,7 @@ def _series(row: _Row, order: Sequence[str]) -> Array:
 
 
 def _nis_series(track: Track, order: Sequence[str]) -> Array:
-    """(sensors, bins): mean NIS per row."""
+    """Mean NIS per residual row (sensors, bins)."""
     count = len(track.t)
     out = np.full((len(order), len(bin_edges(count)) - 1), np.nan)
     for k, name in enumerate(order):
@@ -199,7 +212,8 @@ def _row_scalars(row: _Row, score: Score, bound: Mapping[str, StateEstimates]) -
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """Of a pass: the bounds by kind, their sigmas by kind and state, series by kind."""
+    """Lower bounds of a pass: states (estimates whose covariance is the bound) and sigmas (over
+    the scored part) by kind and state, series by kind."""
 
     states: Mapping[str, Mapping[str, StateEstimates]]
     sigmas: Mapping[str, Mapping[str, float | None]]
@@ -209,7 +223,7 @@ class _Limits:
 def _limits(
     problem: Problem, x: Array, derived: Sequence[Derived], evaluate: tuple[float, float] | None
 ) -> _Limits:
-    """Raises RelnavError when there are no bounds along x (N, size)."""
+    """The bounds along the true states x (N, size). Raises RelnavError when there are none."""
     limit = bounds(problem, x)
     states: dict[str, Mapping[str, StateEstimates]] = {}
     sigmas: dict[str, Mapping[str, float | None]] = {}
@@ -229,7 +243,7 @@ def make_record(
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None,
     rng: np.random.Generator,
-) -> Record:
+) -> RunRecord:
     """The record of a run: of one pass, or of several where each estimator has flown its own.
 
     Bounds are taken along each truth; passes with the same true states, as of a target that
@@ -272,7 +286,7 @@ def make_record(
         for f, a in rows.items()
         if a.track.kind == "filtered"
     }
-    return Record(scalars, series)
+    return RunRecord(scalars, series)
 
 
 def _pair(a: _Row, b: _Row) -> bool:

@@ -20,7 +20,7 @@ from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.sim.sensors import stream
-from relnav_graph.study.record import Record, make_record
+from relnav_graph.study.record import RunRecord, make_record
 
 __all__ = ["StudySpec", "prepare", "run_record"]
 
@@ -78,11 +78,11 @@ def run_record(spec_json: str, run: int) -> bytes:
         try:
             record = _run(spec, scenario, run)
         except (RelnavError, ArithmeticError, np.linalg.LinAlgError) as error:
-            record = Record({"run": run, "failed": f"{type(error).__name__}: {error}"}, {})
+            record = RunRecord({"run": run, "failed": f"{type(error).__name__}: {error}"}, {})
     return record.to_bytes()
 
 
-def _run(spec: StudySpec, scenario: Scenario, run: int) -> Record:
+def _run(spec: StudySpec, scenario: Scenario, run: int) -> RunRecord:
     return make_record(
         run,
         estimate_pass(simulated_pass(scenario, spec.seed, run), spec.estimators, try_estimator),

@@ -20,6 +20,7 @@ from relnav_graph.study.runs import StudySpec
 
 __all__ = ["rmse_precision", "summarize"]
 
+#: Samples of each bootstrap.
 RESAMPLES = 1000
 
 
@@ -37,8 +38,8 @@ def _root_mean_square(values: Array) -> float:
 
 
 def _bootstrap(columns: Array, seed: int) -> Array:
-    """Means of columns (runs, m) over resampled runs, (RESAMPLES, m); runs that a column
-    lacks (NaN) do not count."""
+    """Bootstrap means (RESAMPLES, m) of columns (runs, m): each is over runs drawn with
+    replacement, the same for all columns; NaN, a run without a number, does not count."""
     runs = len(columns)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0xB007,)))
     known = np.isfinite(columns)
@@ -59,7 +60,7 @@ def _interval(samples: Array) -> list[float] | None:
 
 
 def _rmse_intervals(rows: dict[str, RowRuns], seed: int) -> dict[tuple[str, str], Any]:
-    """Of each row and state; None where fewer than two runs have a number."""
+    """95 % interval of the RMSE over runs, by row and state; none for fewer than two runs."""
     keys = [(name, state) for name, row in rows.items() for state in row.units]
     columns = {k: rows[k[0]].of(k[1], "rmse") ** 2 for k in keys}
     columns = {k: v for k, v in columns.items() if np.isfinite(v).sum() > 1}
@@ -70,7 +71,8 @@ def _rmse_intervals(rows: dict[str, RowRuns], seed: int) -> dict[tuple[str, str]
 
 
 def rmse_precision(found: Collected, seed: int) -> float:
-    """The widest of all RMSE intervals: half its width in parts of the RMSE."""
+    """Half the width of an RMSE's 95 % interval divided by the RMSE, the largest of all rows
+    and states; infinite without any interval."""
     widest = 0.0
     for (name, state), interval in _rmse_intervals(found.rows, seed).items():
         rmse = _root_mean_square(found.rows[name].of(state, "rmse"))
@@ -113,8 +115,11 @@ _INSIDE = ("inside_1sigma", "inside_2sigma", "inside_3sigma")
 
 
 def _sensor(row: RowRuns, name: str) -> dict[str, Any]:
-    """NIS per row and the correlation of innovations with the ones before: for a
-    consistent filter they are white, so that all rows of all runs narrow the bands."""
+    """NIS per residual row, and the lag-1 correlation of whitened innovations, with bands.
+
+    Innovations of a consistent filter are white, so that every residual row of every run
+    counts as independent and narrows the bands.
+    """
     nis, rows, product, lag_rows = (
         np.nansum(row.of_sensor(name, k)) for k in ("nis", "rows", "lag_product", "lag_rows")
     )
@@ -167,7 +172,7 @@ def _row(name: str, found: Collected, intervals: dict[tuple[str, str], Any]) -> 
 
 
 def _paired(rows: dict[str, RowRuns], seed: int) -> list[dict[str, Any]]:
-    """What part of the RMSE of `a` is gone in `b`, on the runs that both have."""
+    """Improvement 1 - RMSE_b / RMSE_a of each pair of rows, on the runs that both have."""
     keys, columns = [], []
     for a, b in combinations(rows, 2):
         for state in rows[a].units:

@@ -1,9 +1,9 @@
 """The verdict of a study in plain words: which estimates tell the truth about themselves,
 and which declared noise is the likely cause where they do not.
 
-An ANEES or NIS counts where it lies outside its `LEVEL` band, since many are judged at
-once, and means an error of more than `TOLERANCE` in sigma, since with enough runs every
-small nonlinearity leaves the band.
+An ANEES or NIS is called inconsistent where it lies outside its chi-square band of
+probability `LEVEL` (high, since many are judged at once) and means an error of sigma of more
+than `TOLERANCE` (since with enough runs every small nonlinearity leaves the band).
 """
 
 from __future__ import annotations
@@ -24,13 +24,16 @@ __all__ = ["verdict"]
 LEVEL = 0.999
 #: Relative error of sigma that is let pass.
 TOLERANCE = 0.05
-#: A noise is named where its factor is this many sigmas from 1, and this far from it.
+#: A noise is named as a likely cause where its variance factor is this many of its sigmas
+#: from 1, and its sigma is wrong by more than this factor, up or down.
 SIGNIFICANT, NOTABLE = 4.0, 1.25
 
 
 def _judge(ratio: float | None, freedoms: int) -> dict[str, Any] | None:
-    """How a mean normalised square, over so many freedoms, compares with 1: what it says
-    of sigma."""
+    """Judge sigma by a mean normalised square (ANEES, NIS), which is 1 where sigma is right.
+
+    freedoms: degrees of freedom in the mean; factor = sqrt(ratio): true over estimated sigma.
+    """
     if ratio is None or not freedoms:
         return None
     factor, (low, high) = math.sqrt(max(ratio, 0.0)), chi2_band(freedoms, 1, LEVEL)
@@ -41,13 +44,13 @@ def _judge(ratio: float | None, freedoms: int) -> dict[str, Any] | None:
 
 
 def _judge_state(row: RowRuns, name: str, state: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Runs are independent, epochs of one run are not."""
+    """Only runs are counted as independent: the epochs of one run are not."""
     runs = int(np.isfinite(row.of(name, "anees")).sum())
     return _judge(state.get("anees"), row.freedoms[name] * runs)
 
 
 def _judge_sensor(row: RowRuns, name: str, sensor: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Innovations of a consistent filter are white: every row counts."""
+    """Innovations of a consistent filter are white: every residual row counts."""
     found = _judge(sensor["nis"], int(np.nansum(row.of_sensor(name, "rows"))))
     if found is None:
         return None
@@ -58,7 +61,7 @@ def _judge_sensor(row: RowRuns, name: str, sensor: Mapping[str, Any]) -> dict[st
 
 
 def _owners(scenario: Scenario) -> dict[str, str]:
-    """Of each noise, what it belongs to, in words."""
+    """The sensor or process that each noise belongs to, in words, by the noise's path."""
     found = {f"sensors.{name}": f"sensor {name} ({s.kind})" for name, s in scenario.sensors.items()}
     for name, process in scenario.processes.items():
         inputs = " and ".join(process.inputs)
@@ -78,7 +81,7 @@ def _noises(row: RowRuns) -> list[dict[str, Any]]:
     out = []
     for name, v, s in zip(names, variance.tolist(), sigma.tolist(), strict=True):
         tested = math.isfinite(s) and name != PRIOR
-        # The spread of an estimated variance goes with the variance.
+        # s holds for a factor of 1; the sigma of an estimated variance grows in proportion.
         low, high = (max(v + k * s * max(v, 1.0), 0.0) for k in (-1.96, 1.96))
         factor = math.sqrt(max(v, 0.0))
         notable = max(factor, 1 / max(factor, 1e-9)) > NOTABLE
@@ -128,7 +131,7 @@ def _sensor_text(name: str, sensor: str, v: Mapping[str, Any]) -> str | None:
 
 
 def _best_smoothed(found: Collected) -> str | None:
-    """The smoothed row of the least cost: nearest to the optimum."""
+    """The smoothed row of least mean cost: its residuals are nearest to the optimum's."""
     costs = {
         name: float(np.nanmean(row.own["cost"]))
         for name, row in found.rows.items()
@@ -172,7 +175,7 @@ def _closing(
     best: str | None,
     causes: list[dict[str, Any]],
 ) -> str:
-    """What to make of it where no noise is to blame."""
+    """The last sentence, where something is inconsistent and no noise is a likely cause."""
     wrong = [
         name
         for name in states

@@ -17,7 +17,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch import Solution, solve
-from relnav_graph.estimators.ekf import filter_pass
+from relnav_graph.estimators.ekf import filter_problem
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
@@ -117,7 +117,7 @@ class Nonlinear:
 def nonlinear() -> Nonlinear:
     scenario = load_scenario(ZHANG, ["time.epochs=40"])
     problem = scenario.problem(scenario.simulate(1), 1)
-    done = filter_pass(problem, 20)
+    done = filter_problem(problem, 20)
     assert not done.stopped
     start = smooth(done)[0]
     assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
@@ -259,7 +259,7 @@ def test_the_optimum_is_where_rounding_is(seed: int) -> None:
     after it."""
     scenario = load_scenario(ZHANG.with_name("zhang2015_close.toml"), ["time.epochs=300"])
     problem = scenario.problem(scenario.simulate(seed), seed)
-    done = filter_pass(problem, 20)
+    done = filter_problem(problem, 20)
     x = smooth(done, covariances=False)[0]
     found = solve(done.assembly, problem.prior, x, done.weights, tolerance=0.0)
     assert found.iterations < 10

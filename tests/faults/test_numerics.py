@@ -24,7 +24,7 @@ from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Block
 from relnav_graph.errors import EstimationError, InputError, ModelError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.estimators.batch import UNSOLVED
+from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear import gtsam_factors
 from relnav_graph.maths.losses import Loss
 

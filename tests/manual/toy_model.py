@@ -34,7 +34,7 @@ from relnav_graph.core.catalogue import RELATIVE_POSITION
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import DynamicsModel, SensorModel
 from relnav_graph.core.state import Block
-from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.errors import InputError
 from relnav_graph.units import Quantity
 
 # 1. A state of its own. Blocks that many models share stand in `relnav_graph.core.state`; any
@@ -107,17 +107,14 @@ class PositionFix(SensorModel):
     def reads(self) -> tuple[Block, ...]:
         return (RELATIVE_POSITION,)
 
-    def predict(self, ids: Indices, *x: Array) -> Array:
-        """Positions (k, 3), m."""
-        return np.tile(x[0], (len(ids), 1))
-
     def noise(self, m: Measurement) -> Array:
         """R (k, 3, 3)."""
         return np.tile(self.covariance, (len(m.z), 1, 1))
 
 
 # 4. A sensor that sees several things at once, each with data of its own (here: where the
-# reflector is), and that can be impossible. `predict` and the kernel share one formula.
+# reflector is), and that can be impossible. The simulator, too, measures with the kernel: its
+# residual at z = 0 is the prediction.
 @jit
 def distance(point_o: Array, r_tc_o: Array) -> tuple[float, Array]:
     """Distance from a reflector, m, and the vector from it, (3,)."""
@@ -169,17 +166,6 @@ class DriftingRange(SensorModel):
             last = len(self.points) - 1
             raise InputError(f"{self.kind}: found id {ids[bad][0]}, expected 0 to {last}")
         return np.ascontiguousarray(self.points[ids])
-
-    def predict(self, ids: Indices, *x: Array) -> Array:
-        """Ranges (k, 1), m, without noise: what the simulator starts from."""
-        r_tc_o, drift = x
-        out = np.empty((len(ids), 1))
-        for k, point in enumerate(self.observation_data(ids)):
-            length, _ = distance(point, r_tc_o)
-            if length < 1e-6:
-                raise GeometryError(f"{self.kind}: id {ids[k]}: {self.failure(1)}")
-            out[k] = length + drift
-        return out
 
     def noise(self, m: Measurement) -> Array:
         """R (k, 1, 1)."""

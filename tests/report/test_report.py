@@ -26,7 +26,7 @@ from relnav_graph.report import page as pages
 from relnav_graph.report import scene as scenes
 from relnav_graph.report.contents import PassContents, StudyContents, read_contents
 from relnav_graph.report.page import MAX_BYTES
-from relnav_graph.study.record import Record
+from relnav_graph.study.record import RunRecord
 
 SHORT = ("--set", "time.epochs=12", "-e", "iekf", "-e", "batch")
 
@@ -198,14 +198,14 @@ def test_rows_that_diverged_leave_a_report(
     shutil.copytree(study, folder)
     bad = {"kind": "smoothed", "status": "diverged", "message": "it grew <without> bounds"}
     for file in sorted((folder / "runs").iterdir()):
-        record = Record.from_bytes(file.read_bytes(), "")
+        record = RunRecord.from_bytes(file.read_bytes(), "")
         scalars = json.loads(json.dumps(record.scalars))
         scalars["rows"]["batch"] |= bad
         del scalars["noise"]["batch"]
         scalars["mcreynolds"] = {}
         if scalars["run"] == 1:
             scalars["rows"]["iekf"] |= {**bad, "kind": "filtered"}
-        file.write_bytes(Record(scalars, record.series).to_bytes())
+        file.write_bytes(RunRecord(scalars, record.series).to_bytes())
     content = read_contents(folder)
     assert isinstance(content, StudyContents)
     assert content.judged == "iekf"

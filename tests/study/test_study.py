@@ -32,7 +32,7 @@ from relnav_graph.study import runs
 from relnav_graph.study.collect import collect
 from relnav_graph.study.conduct import Progress, Workers, do_runs, do_until, merge, study_summary
 from relnav_graph.study.folder import StudyFolder
-from relnav_graph.study.record import BINS, Record, bin_edges
+from relnav_graph.study.record import BINS, RunRecord, bin_edges
 from relnav_graph.study.runs import StudySpec, run_record
 
 SHORT = ("time.epochs=12",)
@@ -132,7 +132,7 @@ def test_runs_differ_and_estimators_share_them(done: StudyFolder) -> None:
     values = [r.scalars["rows"]["batch"]["states"]["relative_position"]["rmse"] for r in records]
     assert values[0] != values[1]
     more = StudySpec.of(load_scenario(ZHANG, SHORT), 3, ("batch", "ekf"))
-    again = Record.from_bytes(run_record(more.to_json(), 1), "")
+    again = RunRecord.from_bytes(run_record(more.to_json(), 1), "")
     assert again.scalars["rows"]["batch"] == records[1].scalars["rows"]["batch"]
 
 
@@ -364,7 +364,7 @@ def test_a_record_is_of_one_size_however_long_the_pass() -> None:
 
 def test_a_record_survives_its_file(done: StudyFolder) -> None:
     (record,) = done.records([1])
-    again = Record.from_bytes(record.to_bytes(), "")
+    again = RunRecord.from_bytes(record.to_bytes(), "")
     assert again.scalars == record.scalars
     assert all(np.array_equal(again.series[k], v, equal_nan=True) for k, v in record.series.items())
 

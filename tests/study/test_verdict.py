@@ -17,7 +17,7 @@ from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scoring.variance_components import estimate_factors, noise_residuals
 from relnav_graph.study.collect import collect
-from relnav_graph.study.record import Record
+from relnav_graph.study.record import RunRecord
 from relnav_graph.study.runs import StudySpec, run_record
 from relnav_graph.study.summary import summarize
 from relnav_graph.study.verdict import verdict
@@ -87,7 +87,7 @@ def test_factors_solve_the_normal_equations() -> None:
 def _verdict(settings: tuple[str, ...], seed: int, runs: int, kinds: tuple[str, ...]) -> Any:
     scenario = load_scenario(ZHANG, ("time.epochs=40", *settings))
     spec = StudySpec.of(scenario, seed, kinds)
-    records = [Record.from_bytes(run_record(spec.to_json(), run), "") for run in range(runs)]
+    records = [RunRecord.from_bytes(run_record(spec.to_json(), run), "") for run in range(runs)]
     found = collect(records)
     return verdict(summarize(spec, found, 40, ""), found, scenario)
 

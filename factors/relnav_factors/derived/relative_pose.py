@@ -8,8 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit, jit_loop
-from relnav_graph.compiled.contracts import MATRIX, STACK
+from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (
     BODY_RATE,
     CHASER_ATTITUDE,
@@ -19,11 +18,17 @@ from relnav_graph.core.catalogue import (
 )
 from relnav_graph.core.models import DerivedQuantity
 from relnav_graph.core.state import Block
-from relnav_graph.maths import dense, so3
+from relnav_graph.maths import dense
 
 
 def _numbers(v: Array) -> Array:
     return np.ascontiguousarray(v, dtype=np.float64)
+
+
+def _skews(v: Array) -> Array:
+    """``[v x]`` of N vectors: v (N, 3), result (N, 3, 3), whose columns are v x e_i."""
+    skews: Array = -np.cross(v[:, None], np.eye(3)[None])
+    return skews
 
 
 @jit
@@ -41,45 +46,6 @@ def relative_attitude(R_oc: Array, R_ot: Array) -> tuple[Array, Array]:
     return R_tc, jacobian
 
 
-@jit
-def position_in_target(R_ot: Array, r_tc_o: Array) -> tuple[Array, Array]:
-    """``r_tc_t = R_ot^T r_tc_o``, the position of the chaser in target axes.
-
-    R_ot: (3, 3); r_tc_o: (3,), m. Returns r_tc_t (3,), m, and its Jacobian (3, 6) to
-    (R_ot, r_tc_o): per rad of a right perturbation ``R_ot Exp(d)``, then per m.
-    """
-    r_tc_t, jacobian = dense.transposed_matvec(R_ot, r_tc_o), np.empty((3, 6))
-    dense.put_block(jacobian, 0, 0, so3.skew(r_tc_t), 1.0)
-    for i in range(3):
-        for j in range(3):
-            jacobian[i, 3 + j] = R_ot[j, i]
-    return r_tc_t, jacobian
-
-
-@jit_loop(STACK, STACK, STACK, STACK)
-def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -> None:
-    """`relative_attitude` at N epochs, into the last two arguments.
-
-    R_oc, R_ot, R_tc: (N, 3, 3); jacobian: (N, 3, 6), rad/rad, to (R_oc, R_ot).
-    """
-    for k in range(R_oc.shape[0]):
-        one, slope = relative_attitude(R_oc[k], R_ot[k])
-        dense.put_block(R_tc[k], 0, 0, one, 1.0)
-        dense.put_block(jacobian[k], 0, 0, slope, 1.0)
-
-
-@jit_loop(STACK, MATRIX, MATRIX, STACK)
-def positions_in_target(R_ot: Array, r_tc_o: Array, r_tc_t: Array, jacobian: Array) -> None:
-    """`position_in_target` at N epochs, into the last two arguments.
-
-    R_ot: (N, 3, 3); r_tc_o, r_tc_t: (N, 3), m; jacobian: (N, 3, 6) to (R_ot, r_tc_o).
-    """
-    for k in range(R_ot.shape[0]):
-        one, slope = position_in_target(R_ot[k], r_tc_o[k])
-        dense.put_vector(r_tc_t[k], 0, one)
-        dense.put_block(jacobian[k], 0, 0, slope, 1.0)
-
-
 @dataclass(frozen=True)
 class RelativeAttitude(DerivedQuantity):
     """R_tc = R_ot^T R_oc."""
@@ -93,9 +59,9 @@ class RelativeAttitude(DerivedQuantity):
 
         x: R_oc, R_ot (N, 3, 3).
         """
-        R_oc, R_ot = (v.reshape(len(x[0]), 3, 3) for v in map(_numbers, x))
-        out, jacobian = np.empty(R_oc.shape), np.empty((len(R_oc), 3, 6))
-        relative_attitudes(R_oc, R_ot, out, jacobian)
+        out, jacobian = np.empty((len(x[0]), 3, 3)), np.empty((len(x[0]), 3, 6))
+        for k, (R_oc, R_ot) in enumerate(zip(*map(_numbers, x), strict=True)):
+            out[k], jacobian[k] = relative_attitude(R_oc, R_ot)
         return out, jacobian
 
 
@@ -108,15 +74,14 @@ class PositionInTarget(DerivedQuantity):
     reads: ClassVar[tuple[Block, ...]] = (TARGET_ATTITUDE, RELATIVE_POSITION)
 
     def values(self, *x: Array) -> tuple[Array, Array]:
-        """r_tc_t (N, 3), m, and its Jacobian (N, 3, 6).
+        """r_tc_t (N, 3), m, and its Jacobian (N, 3, 6): per rad of R_ot Exp(d), then per m.
 
         x: R_ot (N, 3, 3); r_tc_o (N, 3), m.
         """
-        R_ot = _numbers(x[0]).reshape(-1, 3, 3)
-        r_tc_o = _numbers(x[1]).reshape(len(R_ot), 3)
-        out, jacobian = np.empty(r_tc_o.shape), np.empty((len(R_ot), 3, 6))
-        positions_in_target(R_ot, r_tc_o, out, jacobian)
-        return out, jacobian
+        R_ot, r_tc_o = x
+        R_to = np.swapaxes(R_ot, 1, 2)
+        r_tc_t = np.einsum("kij,kj->ki", R_to, r_tc_o)
+        return r_tc_t, np.concatenate([_skews(r_tc_t), R_to], axis=2)
 
 
 @dataclass(frozen=True)
@@ -128,13 +93,11 @@ class TargetRateInChaser(DerivedQuantity):
     reads: ClassVar[tuple[Block, ...]] = (CHASER_ATTITUDE, TARGET_ATTITUDE, BODY_RATE)
 
     def values(self, *x: Array) -> tuple[Array, Array]:
-        """w_ti_c (N, 3), rad/s, and its Jacobian (N, 3, 9).
+        """w_ti_c (N, 3), rad/s, and its Jacobian (N, 3, 9), to (R_oc, R_ot, w_ti_t).
 
         x: R_oc, R_ot (N, 3, 3); w_ti_t (N, 3), rad/s.
         """
         R_oc, R_ot, w_ti_t = x
         R_ct = np.swapaxes(R_oc, 1, 2) @ R_ot
         w_ti_c = np.einsum("kij,kj->ki", R_ct, w_ti_t)
-        # The rows of -[w x] are those of w x e_i.
-        crossed = [np.cross(w[:, None], np.eye(3)[None]) for w in (w_ti_c, w_ti_t)]
-        return w_ti_c, np.concatenate([-crossed[0], R_ct @ crossed[1], R_ct], axis=2)
+        return w_ti_c, np.concatenate([_skews(w_ti_c), -R_ct @ _skews(w_ti_t), R_ct], axis=2)

@@ -18,6 +18,9 @@ from relnav_graph.maths import dense
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, orbit_array, relative_transition
 from relnav_graph.units import Quantity
 
+#: Where the numbers of the kernels stand in p, after the orbit (5,).
+_DENSITY, _MAX_STEP = 5, 6
+
 
 @jit
 def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Array]:
@@ -97,12 +100,12 @@ def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     x_next (6,): r_tc_o (m), r_tc_o' in o (m/s). F, Q (6, 6), SI.
     """
     length = duration(u)
-    steps = step_count(length, p[6])
+    steps = step_count(length, p[_MAX_STEP])
     h = length / steps
     state, total, noise = x, dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
         state, step = exact_step(p, t + n * h, h, state)
-        add_step(step, p[5] ** 2, h, total, noise)
+        add_step(step, p[_DENSITY] ** 2, h, total, noise)
     dense.put_vector(x_next, 0, state)
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
@@ -118,12 +121,12 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     `relnav_graph.maths.orbit.relative_transition`.
     """
     length = duration(u)
-    steps = step_count(length, p[6])
+    steps = step_count(length, p[_MAX_STEP])
     h = length / steps
     total, noise = dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
         step = relative_transition(p, t + n * h, t + (n + 1) * h)
-        add_step(step, p[5] ** 2, h, total, noise)
+        add_step(step, p[_DENSITY] ** 2, h, total, noise)
     dense.put_vector(x_next, 0, dense.matvec(total, x))
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)

@@ -28,25 +28,20 @@ from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.units import Quantity
 
+#: Where the numbers of the kernels stand in p, after the orbit (5,).
+_TORQUE_DENSITY, _INERTIA_DENSITY, MAX_STEP, _EULER, _KNOWN = 5, 6, 7, 8, 9
+
 
 @jit
 def _rotate(
-    p: Array,
-    t: float,
-    u: Array,
-    x: Array,
-    A: Array,
-    dA: Array,
-    x_next: Array,
-    F: Array,
-    Q: Array,
+    p: Array, t: float, u: Array, x: Array, A: Array, dA: Array, x_next: Array, F: Array, Q: Array
 ) -> None:
     """``R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot`` and w', for the kernels below.
 
     A: (3, 6), dA: (dim k, 3, 6), see `principal_coefficients`; the rest: see `principal_kernel`.
     """
     length = duration(u)
-    steps = step_count(length, p[7])
+    steps = step_count(length, p[MAX_STEP])
     h = length / steps
     n = x.shape[0] - 6  # of the tangent
     R_ot, w, k = dense.matrix_at(x, 0), dense.vector_at(x, 9), x[12:]
@@ -54,7 +49,7 @@ def _rotate(
     angle = np.empty(3)
     for _ in range(steps):
         before = start_of(w, n - 3)
-        if p[8] != 0.0:
+        if p[_EULER] != 0.0:
             after, turn = published_step(before, A, dA, h)
         else:
             after, turn = rate_step(before, A, dA, h)
@@ -70,9 +65,9 @@ def _rotate(
                 step[i, j] = 0.0
                 for l in range(3):
                     step[i, j] += bend[i, l] * turn[l, j - 2]
-        add_step(step, p[5] ** 2, h, total, noise)
+        add_step(step, p[_TORQUE_DENSITY] ** 2, h, total, noise)
         for i in range(6, n):
-            noise[i, i] += p[6] ** 2 * h
+            noise[i, i] += p[_INERTIA_DENSITY] ** 2 * h
     R_next = dense.matmul(frame_rotation(p, t, t + length), R_ot)
     dense.put_matrix(x_next, 0, so3.project(R_next))
     dense.put_vector(x_next, 9, w)
@@ -114,7 +109,8 @@ def known_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     p (27,): ends with A (3, 6) row by row, of `coefficients_of`. x, x_next (12,): R_ot, w_ti_t
     (rad/s). F, Q (6, 6).
     """
-    _rotate(p, t, u, x, p[9:27].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
+    A = p[_KNOWN : _KNOWN + 18].reshape(3, 6)
+    _rotate(p, t, u, x, A, np.zeros((0, 3, 6)), x_next, F, Q)
     return 0
 
 

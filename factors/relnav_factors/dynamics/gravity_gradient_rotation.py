@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.dynamics.euler_rotation import EulerRotation
+from relnav_factors.dynamics.euler_rotation import MAX_STEP, EulerRotation
 from relnav_factors.dynamics.euler_rotation import known_kernel as free_rotation
 from relnav_factors.shared.white_noise import duration, step_count
 from relnav_graph.arrays import Array
@@ -20,6 +20,9 @@ from relnav_graph.maths import dense, so3
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion
 from relnav_graph.units import Quantity
 
+#: Where the numbers of the kernel stand in p, after the orbit (5,).
+_PERIFOCAL, _INERTIA, _INVERSE, _FREE = 5, 14, 23, 32
+
 
 @jit
 def gradient_torque(p: Array, t: float, R_it: Array) -> tuple[Array, Array]:
@@ -29,8 +32,8 @@ def gradient_torque(p: Array, t: float, R_it: Array) -> tuple[Array, Array]:
     `EulerRotation`; t: s; R_it: (3, 3). Returns the torque (3,) in t, N m, and its Jacobian (3, 3),
     N m/rad, to a right perturbation ``R_it Exp(d)``.
     """
-    motion, J = chief_motion(p, t), dense.matrix_at(p, 14)
-    R_ip, u_i = dense.matrix_at(p, 5), np.empty(3)
+    motion, J = chief_motion(p, t), dense.matrix_at(p, _INERTIA)
+    R_ip, u_i = dense.matrix_at(p, _PERIFOCAL), np.empty(3)
     for i in range(3):
         u_i[i] = np.cos(motion[2]) * R_ip[i, 0] + np.sin(motion[2]) * R_ip[i, 1]
     u = dense.transposed_matvec(R_it, u_i)
@@ -54,7 +57,7 @@ def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> 
     place.
     """
     torque, slope = gradient_torque(p, t, R_it)
-    inverse = dense.matrix_at(p, 23)
+    inverse = dense.matrix_at(p, _INVERSE)
     slope = dense.matmul(inverse, slope)
     for j in range(total.shape[1]):
         for i in range(3):
@@ -67,16 +70,16 @@ def _kick(p: Array, t: float, h: float, R_it: Array, w: Array, total: Array) -> 
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """``J w' = -w x J w + 3 mu / r^3 u x J u`` by splitting (Strang 1968), of second order.
 
-    p (59,): as of `gradient_torque`; the longest step is p[39], s. u (rows, 1): dt, s. x, x_next
+    p (59,): as of `gradient_torque`; its longest step, s, among them. u (rows, 1): dt, s. x, x_next
     (12,): R_it row by row, w_ti_t (rad/s). F, Q (6, 6), in rad and rad/s.
 
     In each step the torque acts at both ends, for half the step each time, with a free rotation
     between: exact but for how the torque changes within a step.
     """
     length = duration(u)
-    steps = step_count(length, p[39])
+    steps = step_count(length, p[_FREE + MAX_STEP])
     h = length / steps
-    free, one, y = p[32:], np.array([[h]]), x.copy()
+    free, one, y = p[_FREE:], np.array([[h]]), x.copy()
     total, noise = dense.identity(6), np.zeros((6, 6))
     step_F, step_Q, after = np.empty((6, 6)), np.empty((6, 6)), np.empty(12)
     for n in range(steps):

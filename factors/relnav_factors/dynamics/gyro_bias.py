@@ -20,6 +20,9 @@ from relnav_graph.maths import dense, so3
 from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.units import Quantity
 
+#: Where the numbers of the kernel stand in p, after the orbit (5,).
+_ANGLE, _WALK, _TIME_CONSTANT = 5, 8, 11
+
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
@@ -38,7 +41,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     turn = np.empty(3)
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        kept, counts, own, of_integral = walk_and_integral(dt, p[11])
+        kept, counts, own, of_integral = walk_and_integral(dt, p[_TIME_CONSTANT])
         joint = counts * counts / 2
         for i in range(3):
             turn[i] = u[row, 1 + i] * dt - b[i] * counts
@@ -52,7 +55,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         dense.put_block(step, 0, 3, so3.right_jacobian(turn), -counts)
         carry(step, total, noise)
         for i in range(3):
-            v, w = p[5 + i], p[8 + i]
+            v, w = p[_ANGLE + i], p[_WALK + i]
             noise[i, i] += v * v * dt + w * w * of_integral
             noise[i, 3 + i] -= w * w * joint
             noise[3 + i, i] -= w * w * joint

@@ -9,16 +9,14 @@ import numpy as np
 
 from relnav_factors.dynamics.earth_sensor_bias import EARTH_SENSOR_BIAS
 from relnav_factors.shared.mounting import MountedSensor
-from relnav_graph.arrays import Array, Indices
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
-from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity
-
-_BEHIND = "the Earth is behind the sensor"
 
 
 @jit
@@ -76,7 +74,7 @@ class EarthSensor(MountedSensor):
     columns: ClassVar[tuple[str, ...]] = ("roll_rad", "pitch_rad")
     rows: ClassVar[int] = 2
     kernel = staticmethod(kernel)
-    failures = {1: _BEHIND}
+    failures = {1: "the Earth is behind the sensor"}
 
     sigma: Annotated[float, Quantity("rad", positive=True)]
 
@@ -94,15 +92,6 @@ class EarthSensor(MountedSensor):
                 " for rad?)"
             )
         return z
-
-    def predict(self, ids: Indices, *x: Array) -> Array:
-        """Roll and pitch (k, 2), rad. Raises GeometryError when the Earth is behind."""
-        packed = np.concatenate([np.ravel(value) for value in x[:2]])
-        e, _ = earth_in_sensor(np.ascontiguousarray(self.sensor_attitude), packed)
-        if e[2] <= 0:
-            raise GeometryError(f"{self.kind}: {_BEHIND}")
-        angles = np.arctan2([e[1], e[0]], e[2]) + x[2]
-        return np.tile(angles, (len(ids), 1))
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(self.sigma**2 * np.eye(2), (len(m.z), 1, 1))

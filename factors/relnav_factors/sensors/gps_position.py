@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph.arrays import Array, Indices
+from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
 from relnav_graph.core.measurement import Measurement
@@ -64,11 +64,6 @@ class GpsPosition(SensorModel):
 
     def constants(self) -> Array:
         return self.antenna_position
-
-    def predict(self, ids: Indices, *x: Array) -> Array:
-        """Positions (k, 3) in i, m."""
-        arm = x[1] @ self.antenna_position if len(x) > 1 else 0.0
-        return np.tile(x[0] + arm, (len(ids), 1))
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(np.diag(self.sigma**2), (len(m.z), 1, 1))

@@ -127,28 +127,28 @@ class GpsPseudorange(SensorModel):
         y = c * np.sin(node) + level * np.cos(node)
         return self.semi_major_axis * np.stack([x, y, height], axis=1)
 
-    def _lines(self, ids: Indices, r_c: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Places (k, 3) and distances (k,), m, and which are below the mask or behind the
-        Earth (k,)."""
+    def _seen(self, ids: Indices, r_c: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Places (k, 3), m, and which of them are below the mask or behind the Earth (k,)."""
         places = self.places(ids)
         line = places - r_c
         distance = np.sqrt((line**2).sum(axis=1))
         square = r_c @ r_c
         along = line @ r_c / (distance * np.sqrt(square))
         behind = (along < 0) & (square * (1 - along**2) < EARTH_RADIUS**2)
-        return places, distance, (along < np.sin(self.mask)) | behind
+        return places, (along < np.sin(self.mask)) | behind
 
     def in_view(self, ids: Indices, *x: Array) -> Indices:
         """Those above the mask and not behind the Earth."""
-        return ids[~self._lines(ids, x[0])[2]]
+        return ids[~self._seen(ids, x[0])[1]]
 
     def predict(self, ids: Indices, *x: Array) -> Array:
         """Pseudorange and place (k, 4), m. Raises GeometryError when a satellite is below
         the mask or behind the Earth."""
-        places, distance, hidden = self._lines(ids, x[0])
+        places, hidden = self._seen(ids, x[0])
         if hidden.any():
             raise GeometryError(f"{self.kind}: satellite {ids[hidden][0]} is below the mask")
-        return np.hstack([(distance + x[1])[:, None], places])
+        at_zero = np.hstack([np.zeros((len(ids), 1)), places])
+        return np.hstack([self._call("", ids, at_zero, x)[0], places])
 
     def perturb(self, z: Array, e: Array) -> Array:
         """Add e (k, 1), m, to the pseudoranges."""

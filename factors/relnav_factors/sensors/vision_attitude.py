@@ -15,6 +15,9 @@ from relnav_graph.core.catalogue import CHASER_ATTITUDE, RELATIVE_ATTITUDE, TARG
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
 
+#: Where p says that x is R_ot alone.
+_FIXED = 9
+
 
 @jit
 def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
@@ -27,7 +30,7 @@ def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
     first = dense.matrix_at(x, 0)
     if x.shape[0] == 18:
         R_tc = dense.transposed_matmul(dense.matrix_at(x, 9), first)
-    elif p[9] != 0.0:
+    elif p[_FIXED] != 0.0:
         R_tc = dense.transposed_matmul(first, dense.identity(3))
     else:
         R_tc = first
@@ -44,7 +47,7 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """
     predicted, R_tc = target_in_sensor(p, x)
     jacobian = attitude_residual(z, predicted, r)
-    if x.shape[0] == 9 and p[9] != 0.0:
+    if x.shape[0] == 9 and p[_FIXED] != 0.0:
         dense.put_block(H, 0, 0, jacobian, 1.0)
         return 0
     dense.put_block(H, 0, 0, dense.matmul(jacobian, R_tc), -1.0)  # a turn d of c is -R_tc d of t

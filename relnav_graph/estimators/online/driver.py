@@ -27,7 +27,7 @@ from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError, InputError, LateError, ModelError, RelnavError
 from relnav_graph.estimators import GROUP, ServesOnline
-from relnav_graph.estimators.ekf import FilterPass
+from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.estimators.online.engine import Engine, EngineState, Estimate, Refusal
 from relnav_graph.estimators.online.monitor import (
     DOWNWEIGHTED,
@@ -365,7 +365,7 @@ def online(kind: str, problem: Problem) -> Online:
     return Online(problem, kind)
 
 
-def _refusals(t: float, done: FilterPass) -> tuple[Refusal, ...]:
+def _refusals(t: float, done: FilterSweep) -> tuple[Refusal, ...]:
     """What a filter left out of one epoch, or did not use fully."""
     weights = done.weights
     if (weights == 1).all():

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.estimators.ekf import FilterPass
+from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.estimators.online.monitor import Health
 from relnav_graph.linear.assembly import Assembly
 
@@ -29,7 +29,7 @@ class EngineState(Protocol):
     @property
     def P(self) -> Array: ...
     @property
-    def done(self) -> FilterPass | None: ...
+    def done(self) -> FilterSweep | None: ...
 
 
 class Engine(Protocol):

@@ -19,7 +19,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
-from relnav_graph.estimators.ekf import FilterPass
+from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.estimators.trust import TRUSTED
 
 __all__ = ["Health", "Monitor", "caution"]
@@ -61,7 +61,7 @@ class Monitor:
             table[:, [LAST, PERIOD]] = np.nan
         return cls(tuple(sensors), rows, table)
 
-    def after(self, t: float, done: FilterPass) -> Monitor:
+    def after(self, t: float, done: FilterSweep) -> Monitor:
         """With what a filter made of one epoch."""
         table, found = self.table.copy(), done.innovations()
         for i, name in enumerate(self.names):

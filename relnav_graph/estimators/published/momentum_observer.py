@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,8 +15,9 @@ from relnav_graph.core.contracts import KnowsTorque, ProposesStarts
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
-from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.source import Recorded, Source
+from relnav_graph.errors import EstimationError, ModelError
+from relnav_graph.estimators.source import RecordedSource, Source, drive
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths import dense, so3
 
 __all__ = ["MomentumObserver"]
@@ -92,64 +92,71 @@ class MomentumObserver:
 
     def run(self, problem: Problem) -> Track:
         """Observe the whole pass."""
-        return self.drive(Recorded(problem))
+        return self.drive(RecordedSource(problem))
 
     def drive(self, source: Source) -> Track:
         """Observe epochs as they come. Raises ModelError unless the state is an attitude and a
         rate, advanced by a process that knows inertia and torque."""
-        process, inertia = _process(source.problem)
-        layout, count = source.problem.layout, source.count
-        x = np.full((count, layout.size), np.nan)
-        seconds, reached, message, status = list[float](), 0, "", "ok"
-        try:
-            steps = self._steps(source, process, inertia)
-            for reached, (values, length) in enumerate(steps, 1):
-                x[reached - 1] = layout.pack(values)
-                seconds.append(length)
-                source.take(x[reached - 1])
-        except (EstimationError, GeometryError) as error:
-            message, status = str(error), "diverged"
-        reached = len(source.whole().epochs)
-        found: Status = "ok" if status == "ok" else "diverged"
-        return Track(
-            name=self.kind,
-            kind="filtered",
-            layout=layout,
-            t=source.whole().times,
-            x=x[:reached],
-            P=np.full((reached, layout.dim, layout.dim), np.nan),
-            status=found,
-            message=message,
-            runtime_s=sum(seconds),
-            step_s=np.array(seconds),
-        )
+        observer = _Observer(source.problem, self.frequency, self.damping)
+        done = drive(source, observer)
+        status: Status = "diverged" if done.stopped else "ok"
+        return done.track(self.kind, status=status, message=done.stopped)
 
-    def _steps(
-        self, source: Source, process: Any, inertia: Array
-    ) -> Iterator[tuple[dict[str, Array], float]]:
-        """The estimate at each epoch, and how long it took, s."""
-        inverse = np.asarray(np.linalg.inv(inertia), dtype=np.float64)
+
+@dataclass(frozen=True, eq=False)
+class ObserverState:
+    """The observer at one epoch: t, s, None before the first.
+
+    R_hat (3, 3): R_it as estimated; h_i (3,), N m s, in i; held (3, 3): R_it as measured last,
+    torque_t (3,), N m, in t: what the next interval is observed with; x (size,): the estimate
+    as stored; P (n, n): all NaN, the observer has no covariance.
+    """
+
+    t: float | None
+    R_hat: Array
+    h_i: Array
+    held: Array
+    torque_t: Array
+    x: Array
+    P: Array
+
+
+class _Observer:
+    """Carries the observer from epoch to epoch."""
+
+    def __init__(self, problem: Problem, frequency: float, damping: float) -> None:
+        self.problem = problem
+        self.process, inertia = _process(problem)
+        self.inverse = np.asarray(np.linalg.inv(inertia), dtype=np.float64)
         mean = np.trace(inertia) / 3
-        k, beta = 4 * self.damping * self.frequency, (2 * mean * self.frequency) ** 2
-        R_hat: Array | None = None
-        h_i, held, torque, t = np.zeros(3), np.eye(3), np.zeros(3), 0.0
-        for epoch in source:
-            begun = time.perf_counter()
-            seen = next(_seen(source.problem, epoch), None)
-            if R_hat is None:
-                if seen is None:
-                    raise EstimationError(f"t = {epoch.t} s: no attitude to begin with")
-                R_hat = np.ascontiguousarray(seen)
-            else:
-                numbers = np.array([k, beta, epoch.t - t])
-                R_hat, h_i = observer_step(numbers, inverse, R_hat, h_i, held, torque)
-            if not (np.isfinite(h_i).all() and np.isfinite(R_hat).all()):
-                raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
-            t, held = epoch.t, R_hat if seen is None else np.ascontiguousarray(seen)
-            torque = process.torque(t, R_hat)
-            rate = momentum_rate(inverse, R_hat, h_i)
-            values = {TARGET_ATTITUDE.name: R_hat, TARGET_RATE.name: rate}
-            yield values, time.perf_counter() - begun
+        self.k, self.beta = 4 * damping * frequency, (2 * mean * frequency) ** 2
+
+    def begin(self) -> ObserverState:
+        """With no momentum, before the first epoch."""
+        layout = self.problem.layout
+        x, P = np.full(layout.size, np.nan), np.full((layout.dim, layout.dim), np.nan)
+        return ObserverState(None, np.eye(3), np.zeros(3), np.eye(3), np.zeros(3), x, P)
+
+    def advance(
+        self, s: ObserverState, epoch: Epoch, assembly: Assembly | None = None
+    ) -> ObserverState:
+        """The state with one more epoch. Raises EstimationError without an attitude to begin
+        with, or when the estimate is not finite."""
+        seen, R_hat, h_i = next(_seen(self.problem, epoch), None), s.R_hat, s.h_i
+        if s.t is not None:
+            numbers = np.array([self.k, self.beta, epoch.t - s.t])
+            R_hat, h_i = observer_step(numbers, self.inverse, R_hat, h_i, s.held, s.torque_t)
+        elif seen is None:
+            raise EstimationError(f"t = {epoch.t} s: no attitude to begin with")
+        else:
+            R_hat = np.ascontiguousarray(seen)
+        if not (np.isfinite(h_i).all() and np.isfinite(R_hat).all()):
+            raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
+        held = R_hat if seen is None else np.ascontiguousarray(seen)
+        rate = momentum_rate(self.inverse, R_hat, h_i)
+        x = self.problem.layout.pack({TARGET_ATTITUDE.name: R_hat, TARGET_RATE.name: rate})
+        torque_t = self.process.torque(epoch.t, R_hat)
+        return ObserverState(epoch.t, R_hat, h_i, held, torque_t, x, s.P)
 
 
 def _process(problem: Problem) -> tuple[KnowsTorque, Array]:

@@ -35,7 +35,7 @@ _PLACE = ("pose.position.x", "pose.position.y", "pose.position.z")
 _TURN = tuple(f"pose.orientation.{axis}" for axis in "wxyz")
 _RATE = tuple(f"angular_velocity.{axis}" for axis in "xyz")
 _TWIST = tuple(f"twist.angular.{axis}" for axis in "xyz")
-#: Of the gyro in the robot: a quarter turn about z (Astrobee's published configuration).
+#: R_c,imu as a rotation vector, rad: a quarter turn about z (Astrobee's configuration).
 _IMU = (0.0, 0.0, np.pi / 2)
 
 
@@ -59,7 +59,10 @@ class _Topic:
         return dense.stacked((so3.from_quaternion(q) for q in q_wxyz), 3, 3)
 
     def at(self, t: Array, values: Array) -> Array:
-        """Vectors (N, 3) or attitudes (N, 3, 3) between the samples, at t (M,)."""
+        """Values (N, 3) or attitudes (N, 3, 3) of the samples, interpolated at t (M,), s.
+
+        Between samples a, b, at the fraction s: a + s (b - a), or a Exp(s Log(a^T b)).
+        """
         k = np.clip(np.searchsorted(self.t, t) - 1, 0, len(self.t) - 2)
         part = (t - self.t[k]) / (self.t[k + 1] - self.t[k])
         if values.ndim == 2:

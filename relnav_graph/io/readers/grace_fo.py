@@ -24,7 +24,7 @@ __all__ = ["read"]
 
 
 _END = "end_of_header"
-#: What the header must say, by a part of it: the words that are accepted.
+#: Values accepted in the header, by key.
 _EXPECTED = {"Reference Frame": ("ICRF", "GCRF"), "Time scale": ("Terrestrial Time", "TT")}
 _DAY = 86400.0
 #: Stamps of both files closer than that, s, are the same.

@@ -13,8 +13,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
-from relnav_graph.sim.contracts import IntervalInstrument
-from relnav_graph.sim.instruments.constant_input import ConstantInput
+from relnav_graph.sim.contracts import IntervalInstrument, KnownInput
 
 __all__ = ["IntervalInputs"]
 
@@ -41,7 +40,7 @@ class IntervalInputs:
         self._truths: dict[str, Array] = {}
         t0, t1 = float(times[0]), float(times[-1])
         for name, source in sources.items():
-            if isinstance(source, ConstantInput):
+            if isinstance(source, KnownInput):
                 self._steady[name] = source.series(name, t0, t1)
             elif isinstance(source, IntervalInstrument):
                 self._samplers[name] = source, source.begin(rng_of(name))

@@ -39,7 +39,7 @@ class OwnModels:
 
     initial: Mapping[str, Any] = field(default_factory=dict)
 
-    def simulate(
+    def follow(
         self,
         layout: Layout,
         processes: Mapping[str, Dynamics],
