@@ -12,6 +12,7 @@ from relnav_graph.errors import InputError
 __all__ = [
     "InputSeries",
     "Measurement",
+    "edge_tolerance",
 ]
 
 
@@ -55,6 +56,12 @@ class Measurement:
 SAME_TIME = 1e-6
 
 
+def edge_tolerance(t0: float, t1: float) -> float:
+    """How far the edge of a sample may be from t0 or t1, s, and still be taken for it: less than
+    the interval [t0, t1], however short."""
+    return min(SAME_TIME, 0.25 * (t1 - t0))
+
+
 @dataclass(frozen=True, eq=False)
 class InputSeries:
     """A known input (gyro, accelerometer): its means over n intervals.
@@ -91,7 +98,7 @@ class InputSeries:
 
         Raises InputError where there is no sample.
         """
-        tolerance = SAME_TIME
+        tolerance = edge_tolerance(t0, t1)
         i = int(np.searchsorted(self.t_end, t0 + tolerance, side="right"))
         j = int(np.searchsorted(self.t_start, t1 - tolerance, side="left"))
         starts, ends = self.t_start[i:j], self.t_end[i:j]
