@@ -376,8 +376,8 @@ class Assembly:
         """Whitening matrices (M, n, n) of the process noise Q (M, n, n).
 
         x_next (M, size): states at the ends of the intervals. A state without noise gets a very
-        small one, and one with less than its rounding as much as that. Raises InputError when Q is not positive
-        definite.
+        small one, and one with less than its rounding as much as that. Raises InputError when Q
+        is not positive definite.
         """
         whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
         if not np.einsum("kii->ki", Q).all():
