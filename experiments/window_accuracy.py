@@ -46,7 +46,7 @@ def of_gtsam(problem: Problem, x: np.ndarray) -> list[float]:
     params.setFactorization("QR")
     params.enableRelinearization = False
     isam, assembly, n = gtsam.ISAM2(params), Assembly.of(problem), problem.layout.dim
-    whiten = assembly.whitening(assembly.transition(x[:-1])[2])
+    whiten = assembly.whitening(x[:-1])
     process = assembly.process(x, whiten)
     rows = assembly.measure(x, np.ones(assembly.observations))
     inside, seconds = list[int](), list[float]()

@@ -28,7 +28,7 @@ def floor_of(epochs: int, n: int) -> Callable[[], object]:
 
 def iteration_of(p: Pass) -> Callable[[], object]:
     """One full Gauss-Newton iteration: back-substitute, retract, error, linearise, eliminate."""
-    whiten = p.assembly.whitening(p.assembly.transition(p.start[:-1])[2])
+    whiten = p.assembly.whitening(p.start[:-1])
     anchor = anchor_of(p.problem.prior)
     system, after = (linearize(p.assembly, anchor, p.start, whiten, p.weights) for _ in range(2))
 

@@ -30,7 +30,7 @@ class Tangent:
     def __init__(self, p: Pass, x0: Array) -> None:
         self.p, self.x0 = p, x0
         self.layout, self.anchor = p.assembly.layout, anchor_of(p.problem.prior)
-        self.whiten = p.assembly.whitening(p.assembly.transition(p.start[:-1])[2])
+        self.whiten = p.assembly.whitening(p.start[:-1])
 
     def at(self, d: Array) -> Array:
         """The trajectory (N, size)."""

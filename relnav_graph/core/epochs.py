@@ -9,7 +9,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics, Sensor
-from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
+from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement, edge_tolerance
 from relnav_graph.core.models import check_inputs
 from relnav_graph.errors import InputError
 
@@ -116,8 +116,7 @@ def process_inputs(
     for part_edges, _ in parts:
         edges = np.union1d(edges, part_edges)
     # Edges closer than that are one edge, written with different rounding.
-    closer = min(SAME_TIME, 0.25 * (t1 - t0))
-    edges = edges[np.concatenate(([True], np.diff(edges) > closer))]
+    edges = edges[np.concatenate(([True], np.diff(edges) > edge_tolerance(t0, t1)))]
     edges[-1] = t1
     middle = 0.5 * (edges[1:] + edges[:-1])
     columns = [np.diff(edges)[:, None]]

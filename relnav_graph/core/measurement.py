@@ -13,6 +13,7 @@ __all__ = [
     "Bridge",
     "InputSeries",
     "Measurement",
+    "edge_tolerance",
 ]
 
 
@@ -54,6 +55,12 @@ class Measurement:
 
 #: Times closer than this are the same, s: above the rounding of stamps of 1e9 s.
 SAME_TIME = 1e-6
+
+
+def edge_tolerance(t0: float, t1: float) -> float:
+    """How far the edge of a sample may be from t0 or t1, s, and still be taken for it: less than
+    the interval [t0, t1], however short."""
+    return min(SAME_TIME, 0.25 * (t1 - t0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +136,7 @@ class InputSeries:
 
     def _touching(self, t0: float, t1: float) -> tuple[int, int]:
         """Which samples, first to last - 1, tell of [t0, t1], s."""
-        # An interval may be shorter than the rounding of stamps.
-        tolerance = min(SAME_TIME, 0.25 * (t1 - t0))
+        tolerance = edge_tolerance(t0, t1)
         first = int(np.searchsorted(self.t_end, t0 + tolerance, side="right"))
         last = int(np.searchsorted(self.t_start, t1 - tolerance, side="left"))
         if last <= first and len(self.t_end) and self._gap(first, t0, t1)[1] <= SAME_TIME:

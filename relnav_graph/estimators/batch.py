@@ -143,7 +143,7 @@ def solve(
     function. Raises EstimationError on a system without a solution.
     """
     anchor = prior if isinstance(prior, Anchor) else anchor_of(prior)
-    whiten = assembly.whitening(assembly.transition(x[:-1])[2])
+    whiten = assembly.whitening(x[:-1])
     the_pass = _Linearisation(assembly, anchor, whiten, weights)
     best = system = the_pass.at(x)
     conditionals = system.conditionals

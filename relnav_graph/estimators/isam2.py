@@ -192,7 +192,7 @@ class IncrementalSmoother:
         before (size,): the estimate at the epoch before, where the filter set out."""
         layout, key = self.problem.layout, self.state.count - 1
         x, assembly, weights = self.state.references[-1], done.assembly, done.weights
-        whiten = assembly.whitening(done.Q)
+        whiten = assembly.whitening_of(done.x_predicted, done.Q)
         process = process_rows(layout, done.x_predicted, x[None], done.F, whiten)
         # The older end is linearised at its latest estimate, reference (+) d; the tree's
         # variable is a perturbation of the reference: the chain rule of the retraction.

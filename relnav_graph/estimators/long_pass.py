@@ -46,7 +46,7 @@ class _Part:
 
     def system(self, into: Conditionals | None) -> System:
         """The part linearised and eliminated; into: memory that may be filled, of any length."""
-        whiten = self.assembly.whitening(self.assembly.transition(self.first[:-1])[2])
+        whiten = self.assembly.whitening(self.first[:-1])
         if into is not None and len(into.d) != len(self.x):
             into = None
         models = self.assembly, self.anchor

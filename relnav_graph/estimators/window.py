@@ -116,7 +116,7 @@ def linearized(w: Window, x: Array, first: int = 0) -> Chain:
         at = np.concatenate([anchor.x[None], x[first:]])
     begin = max(first - w.lead, 0)
     assembly = joined(w.parts[begin:], w.lead or first)
-    whiten = assembly.whitening(assembly.transition(at[:-1])[2])
+    whiten = assembly.whitening(at[:-1])
     weights = np.concatenate(w.weights[begin:])
     system = linearize(assembly, anchor, at, whiten, weights, keep=True)
     if system.status.any():

@@ -76,6 +76,16 @@ def _put_rows(a: Array, row: int, e: Array, A: Array) -> float:
     return squares
 
 
+@jit
+def _largest(A: Array) -> float:
+    """The largest magnitude in A (rows, columns)."""
+    most = 0.0
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            most = max(most, abs(A[i, j]))
+    return most
+
+
 @jit_loop(
     TABLES,
     *(INDICES, INDICES, INDEX_MATRIX, MATRIX, VECTOR, STACK, VECTOR, MATRIX, MATRIX),
@@ -147,7 +157,15 @@ def _sweep(
                     a[i, j] = 0.0
             dense.put_block(a, n, n + 1, B, 1.0)
             squares += _put_rows(a, n, e, A)
-            householder(a, n, n, 2 * n, 2 * n + 1)
+            below = n
+            # Reflections lose small rows that stand above large ones (Cox and Higham 1998), such
+            # as those of an interval of microseconds: the larger rows come first.
+            if _largest(A) > _largest(a[:n, :n]):
+                for i in range(n):
+                    for j in range(2 * n + 1):
+                        a[i, j], a[n + i, j] = a[n + i, j], a[i, j]
+                below = 0
+            householder(a, n, below, 2 * n, 2 * n + 1)
         for i in range(n):
             d[k, i] = a[i, n]
             for j in range(n):

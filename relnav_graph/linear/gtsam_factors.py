@@ -124,7 +124,7 @@ def process_factor(
     assembly = Assembly(layout, {"process": process}, {}, [epoch], t_before=float(t))
     n, size = advanced.dim, advanced.size
     start = layout.pack(dict(zip([b.name for b in blocks], noise_at, strict=True)))
-    whiten = assembly.whitening(assembly.transition(start[None])[2])[:, :n, :n].copy()
+    whiten = assembly.whitening(start[None])[:, :n, :n].copy()
     columns = [layout.tangent(b.name) for b in layout]
     columns_next = [advanced.tangent(b.name) for b in advanced]
     reader, reader_next = _Reader(layout), _Reader(advanced)

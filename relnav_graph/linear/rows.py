@@ -45,6 +45,7 @@ from relnav_graph.linear.tables import (
     P,
     Tables,
 )
+from relnav_graph.linear.whitening import RESOLUTION
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import matmul_into, scaled_cholesky, solve_lower
 from relnav_graph.maths.manifold import local, times_jacobian, times_transposed_jacobian
@@ -302,22 +303,43 @@ def transition(
             return
 
 
-@jit_loop(TABLES, STACK, STACK, INDICES)
-def whitening(tables: Tables, Q: Array, whiten: Array, failure: Indices) -> None:
+@jit
+def _resolution(x: Array, kinds: Indices, out: Array) -> None:
+    """What rounding lets a state x (size,) be told to, along each axis of its tangent, out (n,):
+    `RESOLUTION` of the largest value in its block, or of 1 rad."""
+    for b in range(kinds.shape[0]):
+        largest = kinds[b, 0] * 1.0
+        for i in range(kinds[b, 3] if kinds[b, 0] == 0 else 0):
+            largest = max(largest, abs(x[kinds[b, 1] + i]))
+        for i in range(kinds[b, 3]):
+            out[kinds[b, 2] + i] = RESOLUTION * largest
+
+
+@jit_loop(TABLES, STACK, MATRIX, INDEX_MATRIX, STACK, INDICES)
+def whitening(
+    tables: Tables, Q: Array, x_next: Array, kinds: Indices, whiten: Array, failure: Indices
+) -> None:
     """Inverse Cholesky factors ``W = L^-1``, ``L L^T = Q``, of the process noise Q (M, n, n).
 
+    x_next (M, size): states at the ends of the intervals. A variance below what their rounding
+    lets be told, as over microseconds, is raised to that: its residuals would be noise.
     Fills whiten (M, n, n), process by process: Q is block-diagonal. failure (3,): interval,
     process and 1 where a block is not positive definite.
     """
+    floor = np.zeros(Q.shape[1])
     for a in range(tables.processes.shape[0]):
         process = tables.processes[a]
         rows = tables.places[process[ROWS] : process[ROWS + 1]]
         n = rows.shape[0]
         own, L, scale = np.empty((n, n)), np.empty((n, n)), np.empty(n)
         for k in range(Q.shape[0]):
+            _resolution(x_next[k], kinds, floor)
             for i in range(n):
                 for j in range(n):
                     own[i, j] = Q[k, rows[i], rows[j]]
+                least = floor[rows[i]] * floor[rows[i]]
+                if own[i, i] < least:
+                    own[i, i] += least
             if not scaled_cholesky(own, scale, L):
                 failure[0], failure[1], failure[2] = k, a, 1
                 return

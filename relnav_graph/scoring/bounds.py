@@ -83,11 +83,11 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     assembly = Assembly.of(problem)
     weights = np.ones(assembly.observations)
     rows = assembly.measure(x, weights)
-    _, F, Q = assembly.transition(x[:-1])
+    x_next, F, Q = assembly.transition(x[:-1])
     # The prior is put about the trajectory itself: its mean must not move the bound.
     whiten = inverse_cholesky("the prior", problem.prior.P)
     anchor = Anchor(x[0], whiten, np.zeros(layout.dim))
-    system = linearize(assembly, anchor, x, assembly.whitening(Q), weights)
+    system = linearize(assembly, anchor, x, assembly.whitening_of(x_next, Q), weights)
     smoothed = system.conditionals.covariances()
     filtered = _filtered(problem.prior.P, F, Q, rows, assembly.row_offsets)
     return Bounds(

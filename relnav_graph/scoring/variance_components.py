@@ -129,7 +129,7 @@ def noise_residuals(
     assembly = Assembly.of(problem)
     measured = assembly.measure(x, np.ones(assembly.observations))
     weights = residual_weights(assembly, measured, problem.gates, problem.losses)
-    whiten = assembly.whitening(assembly.transition(x[:-1])[2])
+    whiten = assembly.whitening(x[:-1])
     anchor = anchor_of(problem.prior)
     system = linearize(assembly, anchor, x, whiten, weights)
     rows = chain_rows(assembly, anchor, x, whiten, weights)

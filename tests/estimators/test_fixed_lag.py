@@ -43,7 +43,7 @@ def _window_of_gtsam(problem: Problem) -> tuple[Array, Array]:
     layout, n = problem.layout, problem.layout.dim
     assembly = Assembly.of(problem)
     reference = np.tile(problem.prior.x, (len(problem.epochs), 1))
-    whiten = assembly.whitening(assembly.transition(reference[:-1])[2])
+    whiten = assembly.whitening(reference[:-1])
     process = assembly.process(reference, whiten)
     rows = assembly.measure(reference, np.ones(assembly.observations))
     x, P, inside = [], [], list[int]()

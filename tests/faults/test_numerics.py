@@ -100,7 +100,7 @@ def test_row_24_the_reason_names_blocks_and_times() -> None:
     epochs = make_epochs(PROCESSES, fixes, {})[:3]
     assembly = Assembly(problem.layout, PROCESSES, SENSORS, epochs)
     x = np.tile(problem.prior.x, (3, 1))
-    whiten = assembly.whitening(assembly.transition(x[:-1])[2])
+    whiten = assembly.whitening(x[:-1])
     nothing = Anchor(problem.prior.x, np.zeros((7, 7)), np.zeros(7))
     says = rf"does not determine {RANGE_DRIFT.name} at t = 2\.0 s"
     with pytest.raises(EstimationError, match=says):

@@ -29,7 +29,7 @@ def test_sweep_equals_gtsams_elimination(damped: bool) -> None:
     problem = _zhang()
     x = run_estimator("rts", problem).x
     assembly, anchor = Assembly.of(problem), anchor_of(problem.prior)
-    whiten = assembly.whitening(assembly.transition(x[:-1])[2])
+    whiten = assembly.whitening(x[:-1])
     weight = np.ones(assembly.observations)
     weight[7] = 0.0
     damping = np.full((len(x), problem.layout.dim), 30.0) if damped else None

@@ -242,7 +242,7 @@ def test_assembly_processes_as_the_factors_do(name: str) -> None:
         epochs = [Epoch(i.t), Epoch(t_end, (), {"p": i.u})]
         assembly = Assembly(layout, {"p": model}, {}, epochs)
         x = np.array([layout.pack(read), layout.pack(end)])
-        whiten = assembly.whitening(assembly.transition(x[:1])[2])
+        whiten = assembly.whitening(x[:1])
         rows = assembly.process(x, whiten)
         J, b = a.factor.linearize(a.values).jacobian()
         _, at = layout.gather(blocks)

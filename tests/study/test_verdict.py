@@ -28,7 +28,7 @@ GYRO = "processes.chaser.angle_random_walk_density"
 def _dense(problem: Problem, x: Array) -> tuple[Array, Array, list[str]]:
     """Whitened rows A d + e of a pass, from its factors, and the group of each row."""
     assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
-    whiten = assembly.whitening(assembly.transition(x[:-1])[2])
+    whiten = assembly.whitening(x[:-1])
     ones = np.ones(assembly.observations)
     chain = chain_factors(chain_rows(assembly, anchor_of(problem.prior), x, whiten, ones))
     n, rows, errors, groups = problem.layout.dim, [], [], []
