@@ -18,6 +18,7 @@ from relnav_graph.core.state import Block
 __all__ = [
     "Derived",
     "Dynamics",
+    "IntegratesBySteps",
     "KnowsTorque",
     "NamesDirections",
     "ProposesStarts",
@@ -187,6 +188,13 @@ class NamesDirections(Protocol):
 
         x: one value per block, (3, 3) or (dim,), SI, in the block's frame.
         """
+
+
+@runtime_checkable
+class IntegratesBySteps(Protocol):
+    """A process or truth that cuts an interval into steps of at most max_step, s."""
+
+    max_step: float
 
 
 @runtime_checkable

@@ -13,9 +13,10 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import GUARD, MARK
-from relnav_graph.core.contracts import Derived, Kernel, Sensor
+from relnav_graph.core.contracts import Derived, IntegratesBySteps, Kernel, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.registry import classes, provides
 from relnav_graph.units import check_fields
@@ -53,20 +54,22 @@ def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:
     return np.concatenate([b.pack(v) for b, v in zip(blocks, values, strict=True)])
 
 
-def check_inputs(where: str, inputs: Mapping[str, tuple[str, ...]], u: Any) -> Array:
-    """The inputs u (rows, 1 + channels) of an interval, as C-contiguous float64.
+def check_inputs(where: str, process: Any, u: Any) -> Array:
+    """The inputs u (rows, 1 + channels) of a process over an interval, as C-contiguous float64.
 
     Each row: length of the sub-interval, s, then all inputs in their order, SI.
 
     Raises InputError on another shape, values that are not finite, lengths that are not
-    positive.
+    positive, or that would take the process more steps than it can make.
     """
     array = np.ascontiguousarray(u, dtype=np.float64)
-    width = 1 + sum(len(columns) for columns in inputs.values())
+    width = 1 + sum(len(columns) for columns in process.inputs.values())
     if array.ndim != 2 or not len(array) or array.shape[1] != width:
         raise InputError(f"{where}: found u of {array.shape}, expected (rows, {width})")
     if not np.isfinite(array).all() or (array[:, 0] <= 0).any():
         raise InputError(f"{where}: found u = {array}, expected finite values and lengths > 0")
+    if isinstance(process, IntegratesBySteps):
+        check_steps(where, float(array[:, 0].sum()), process.max_step)
     return array
 
 
@@ -217,7 +220,7 @@ class DynamicsModel:
         size, width = sum(b.size for b in self.advances), n + sum(b.dim for b in self.reads)
         outputs = _Outputs(self.kind, x_next=(size,), F=(n, width), Q=(n, n))
         x_next, F, Q = outputs.arrays
-        u = check_inputs(self.kind, self.inputs, u)
+        u = check_inputs(self.kind, self, u)
         status = self.kernel(self.constants(), float(t), u, packed, x_next, F, Q)
         if status:
             raise GeometryError(f"{self.kind}: from t = {t} s: {self.failure(status)}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from relnav_factors.shared.inertia import coefficients_of, full_coefficients, principal_coefficients
 from relnav_factors.shared.rate_steps import published_step, rate_step, start_of
+from relnav_factors.shared.statuses import LOST_ORBIT, NO_BODY, ROTATION_FAILURES, TOO_FAST, finite
 from relnav_factors.shared.white_noise import add_step, duration, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -31,20 +32,15 @@ from relnav_graph.units import Quantity
 
 @jit
 def _rotate(
-    p: Array,
-    t: float,
-    u: Array,
-    x: Array,
-    A: Array,
-    dA: Array,
-    x_next: Array,
-    F: Array,
-    Q: Array,
-) -> None:
+    p: Array, t: float, u: Array, x: Array, A: Array, dA: Array, x_next: Array, F: Array, Q: Array
+) -> int:
     """``R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot`` and w', for the kernels below.
 
     A: (3, 6), dA: (dim k, 3, 6), see `principal_coefficients`; the rest: see `principal_kernel`.
+    Returns 0, or a status of `ROTATION_FAILURES`.
     """
+    if not finite(A):
+        return NO_BODY
     length = duration(u)
     steps = step_count(length, p[6])
     h = length / steps
@@ -73,12 +69,18 @@ def _rotate(
         add_step(step, p[4] ** 2, h, total, noise)
         for i in range(6, n):
             noise[i, i] += p[5] ** 2 * h
-    R_next = dense.matmul(frame_rotation(p, t, t + length), R_ot)
+    if not (finite(R_ot) and finite(total)):
+        return TOO_FAST
+    R_io = frame_rotation(p, t, t + length)
+    if not finite(R_io):
+        return LOST_ORBIT
+    R_next = dense.matmul(R_io, R_ot)
     dense.put_matrix(x_next, 0, so3.project(R_next))
     dense.put_vector(x_next, 9, w)
     dense.put_vector(x_next, 12, k)
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
+    return 0
 
 
 @jit
@@ -92,8 +94,7 @@ def principal_kernel(
     (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1.
     """
     A, dA = principal_coefficients(x[12:])
-    _rotate(p, t, u, x, A, dA, x_next, F, Q)
-    return 0
+    return _rotate(p, t, u, x, A, dA, x_next, F, Q)
 
 
 @jit
@@ -103,8 +104,7 @@ def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array,
     x, x_next (17,): R_ot, w_ti_t (rad/s), k (5,). F, Q (11, 11).
     """
     A, dA = full_coefficients(x[12:])
-    _rotate(p, t, u, x, A, dA, x_next, F, Q)
-    return 0
+    return _rotate(p, t, u, x, A, dA, x_next, F, Q)
 
 
 @jit
@@ -114,8 +114,7 @@ def known_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     p (26,): ends with A (3, 6) row by row, of `coefficients_of`. x, x_next (12,): R_ot, w_ti_t
     (rad/s). F, Q (6, 6).
     """
-    _rotate(p, t, u, x, p[8:26].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
-    return 0
+    return _rotate(p, t, u, x, p[8:26].reshape(3, 6), np.zeros((0, 3, 6)), x_next, F, Q)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +137,7 @@ class EulerRotation(DynamicsModel):
     """
 
     kind: ClassVar[str] = "euler_rotation"
+    failures = ROTATION_FAILURES
 
     torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
     inertia_density: Annotated[float, Quantity("1/sqrt(s)", positive=True)] = 1e-8
