@@ -67,7 +67,8 @@ class Problem:
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
     fixed-lag smoother and for late data online, s, None for a number of epochs. Without
     epochs it is one to be driven online: they come later. Raises ModelError when a block is
-    advanced by no process or by two, InputError when times do not increase or a sensor is unknown.
+    advanced by no process or by two, InputError when times do not increase, a sensor is unknown or
+    two models have different orbits.
     """
 
     processes: Mapping[str, Dynamics]
@@ -88,6 +89,7 @@ class Problem:
                     raise InputError(f"{name}: unknown sensor {sensor!r}")
         object.__setattr__(self, "epochs", tuple(self.epochs))
         object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))
+        check_orbits(self.processes, self.sensors)
         n = self.layout.dim
         if self.prior.x.shape != (self.layout.size,) or self.prior.P.shape != (n, n):
             raise InputError(
@@ -111,6 +113,25 @@ class Problem:
     def times(self) -> Array:
         """Times of the epochs (N,), s."""
         return np.array([e.t for e in self.epochs])
+
+
+def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> None:
+    """Raise InputError, naming two models, unless frame o turns alike for all.
+
+    A model to which it matters has an `orbit`: the target's, or None for an o that is at rest.
+    """
+    found = [
+        (f"{section} {name!r} ({model.kind})", model.orbit)
+        for section, models in (("process", processes), ("sensor", sensors))
+        for name, model in models.items()
+        if hasattr(model, "orbit")
+    ]
+    for where, orbit in found[1:]:
+        if orbit != found[0][1]:
+            both = [f"{w} has {o or 'no orbit'}" for w, o in (found[0], (where, orbit))]
+            raise InputError(
+                f"{both[0]}, {both[1]}: expected one orbit for all, with which frame o turns"
+            )
 
 
 def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> Layout:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
-from relnav_graph.core.problem import layout_of
+from relnav_graph.core.problem import check_orbits, layout_of
 from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.registry import find_class
@@ -139,7 +139,8 @@ def make_scenario(
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
             layout = layout_of(made["processes"], sensors)
-        except ModelError as error:
+            check_orbits(made["processes"], sensors)
+        except (ModelError, InputError) as error:
             problems.append(("", str(error)))
     if file is not None and layout is not None:
         check_prior(layout, file, problems)

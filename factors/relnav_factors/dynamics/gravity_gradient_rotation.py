@@ -125,6 +125,8 @@ class GravityGradientRotation(DynamicsModel):
     """
 
     kind: ClassVar[str] = "gravity_gradient_rotation"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     noises: ClassVar[tuple[str, ...]] = ("torque_density", "torque_density")
     kernel = staticmethod(kernel)
     failures = ROTATION_FAILURES

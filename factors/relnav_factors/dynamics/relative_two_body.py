@@ -57,6 +57,8 @@ class RelativeTwoBody(DynamicsModel):
     """
 
     kind: ClassVar[str] = "relative_two_body"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
     kernel = staticmethod(kernel)
     failures = FAILURES

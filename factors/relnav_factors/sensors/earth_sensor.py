@@ -78,6 +78,8 @@ class EarthSensor(MountedSensor):
     """
 
     kind: ClassVar[str] = "earth_sensor"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     columns: ClassVar[tuple[str, ...]] = ("roll_rad", "pitch_rad")
     rows: ClassVar[int] = 2
     kernel = staticmethod(kernel)

@@ -62,6 +62,12 @@ class GpsPosition(SensorModel):
             return CHASER_POSITION, CHASER_ATTITUDE
         return (CHASER_POSITION,)
 
+    @property
+    def orbit(self) -> None:
+        """None where the antenna has an arm: o is i. Without one it does not matter."""
+        if not self.antenna_position.any():
+            raise AttributeError("orbit")
+
     def constants(self) -> Array:
         return self.antenna_position
 
