@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
@@ -75,6 +76,19 @@ class GpsPosition(SensorModel):
         """Positions (k, 3) in i, m."""
         arm = x[1] @ self.antenna_position if len(x) > 1 else 0.0
         return np.tile(x[0] + arm, (len(ids), 1))
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """The one position that a fix gives.
+
+        z: (k, 3), m; known: values of the other blocks: with an arm, R_ic (3, 3) is needed.
+        """
+        if not self.antenna_position.any():
+            yield {CHASER_POSITION.name: z[0]}
+        elif CHASER_ATTITUDE.name in known:
+            arm = known[CHASER_ATTITUDE.name] @ self.antenna_position
+            yield {CHASER_POSITION.name: z[0] - arm}
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(np.diag(self.sigma**2), (len(m.z), 1, 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -156,6 +157,17 @@ class GpsPseudorange(SensorModel):
     def perturb(self, z: Array, e: Array) -> Array:
         """Add e (k, 1), m, to the pseudoranges."""
         return np.hstack([z[:, :1] + e, z[:, 1:]])
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """A place below the satellites, and a clock without error: four of them tell the rest.
+
+        z: (k, 4), m; known: values of the other blocks, of which none is needed.
+        """
+        up = z[:, 1:].mean(axis=0)
+        below = EARTH_RADIUS / max(float(np.linalg.norm(up)), 1.0) * up
+        yield {CHASER_POSITION.name: below, CLOCK_BIAS.name: np.zeros(1)}
 
     def noise(self, m: Measurement) -> Array:
         return np.full((len(m.z), 1, 1), self.sigma**2)

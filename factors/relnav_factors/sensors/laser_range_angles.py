@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -151,6 +152,21 @@ class LaserRangeAngles(MountedSensor):
         """Add e (k, 3): to the range, m, and as a rotation across the line, rad."""
         lines = turned(_lines(z), np.ascontiguousarray(e[:, 1:]))
         return _angles(z[:, 0] + e[:, 0], lines)
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """The one position that a range and two angles give.
+
+        z: (k, 4), see `accept`; known: values of the other blocks: with axes of the chaser, R_oc
+        (3, 3) is needed.
+        """
+        r_tc_s = -z[0, 0] * z[0, 1:]
+        if self.axes == "orbital":
+            yield {RELATIVE_POSITION.name: self.sensor_attitude @ r_tc_s}
+        elif CHASER_ATTITUDE.name in known:
+            r_tc_o = known[CHASER_ATTITUDE.name] @ self.sensor_attitude @ r_tc_s
+            yield {RELATIVE_POSITION.name: r_tc_o}
 
     def noise(self, m: Measurement) -> Array:
         """R (k, 3, 3): the range's sigma follows the measured range."""
