@@ -20,6 +20,7 @@ from numba.extending import intrinsic
 from relnav_graph.errors import ModelError
 
 __all__ = [
+    "DEGENERATE",
     "DYNAMICS_KERNEL",
     "GUARD",
     "INDEX_MATRIX",
@@ -47,11 +48,17 @@ INDEX_STACK = types.Array(types.int64, 3, "C")
 #: writes past its arrays is found out, before it can spoil anybody else's memory.
 GUARD, MARK = 64, 1.2345678901234567e300
 
+#: Statuses of a sensor's kernel from here on say that the geometry is degenerate at this state,
+#: as when a length is zero that it divides by: that ends an estimate, which could not move away
+#: from there. Lower ones say that the observation is impossible, such as a point behind the
+#: camera: it is left out.
+DEGENERATE = 100
+
 #: ``status = kernel(p, q, z, x, r, H)``: one observation (one beacon, one point, one fix).
 #: p constants of the sensor, q data of this observation, z measured value, x stored values
 #: of the blocks read, one after the other; fills all of r (residual, prediction minus
 #: measured) and of H (dr/dx in tangent coordinates), which come filled with NaN. A status
-#: other than 0 names a geometry failure.
+#: other than 0 names a geometry failure, see `DEGENERATE`.
 SENSOR_KERNEL = types.int64(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
 
 #: ``status = kernel(p, t, u, x, x_next, F, Q)``: one interval from time t. u has one row

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import KnowsOrbit
+from relnav_graph.core.contracts import KnowsInertialOrbit, KnowsOrbit
 from relnav_graph.core.epochs import unit_hint
 
 __all__ = ["Caution", "gap_cautions", "interval_cautions", "orbit_cautions"]
@@ -42,7 +42,9 @@ def orbit_cautions(models: Iterable[Any], t: float) -> tuple[Caution, ...]:
 
     models: sensors, processes, a truth, in any order. One caution for each orbit.
     """
+    models = list(models)
     orbits = [m.orbit for m in models if isinstance(m, KnowsOrbit)]
+    orbits += [m.inertial_orbit for m in models if isinstance(m, KnowsInertialOrbit)]
     found = []
     for orbit in dict.fromkeys(orbit for orbit in orbits if orbit is not None):
         turns = orbit.revolutions(t)

@@ -19,6 +19,8 @@ from relnav_graph.maths.orbit import KeplerOrbit
 __all__ = [
     "Derived",
     "Dynamics",
+    "IntegratesBySteps",
+    "KnowsInertialOrbit",
     "KnowsOrbit",
     "KnowsTorque",
     "NamesDirections",
@@ -193,10 +195,26 @@ class NamesDirections(Protocol):
 
 @runtime_checkable
 class KnowsOrbit(Protocol):
-    """A model that takes the orbit of the target as known; None where its o does not rotate."""
+    """A model to which it matters how frame o turns: with the target's orbit, which is known;
+    None for an o at rest."""
 
     @property
     def orbit(self) -> KeplerOrbit | None: ...
+
+
+@runtime_checkable
+class KnowsInertialOrbit(Protocol):
+    """A model that knows the orbit of the target in a frame o that is at rest."""
+
+    @property
+    def inertial_orbit(self) -> KeplerOrbit: ...
+
+
+@runtime_checkable
+class IntegratesBySteps(Protocol):
+    """A process or truth that cuts an interval into steps of at most max_step, s."""
+
+    max_step: float
 
 
 @runtime_checkable

@@ -89,7 +89,7 @@ def check_epoch(
         _check_length(where, process, epoch.t - float(t_before or 0.0))
         if name not in epoch.inputs:
             raise InputError(f"{where}: found no inputs for it in the epoch")
-        u = check_inputs(where, process.inputs, epoch.inputs[name], spreads=True)
+        u = check_inputs(where, process, epoch.inputs[name], spreads=True)
         length, expected = float(u[:, 0].sum()), epoch.t - float(t_before or 0.0)
         if abs(length - expected) > SAME_TIME:
             raise InputError(f"{where}: found inputs over {length} s, expected {expected} s")

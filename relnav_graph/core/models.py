@@ -13,9 +13,10 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import GUARD, MARK
-from relnav_graph.core.contracts import Derived, Kernel, Sensor
+from relnav_graph.core.contracts import Derived, IntegratesBySteps, Kernel, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.registry import classes, provides
 from relnav_graph.units import check_fields
@@ -53,19 +54,17 @@ def _pack(blocks: Sequence[Block], values: Sequence[Any], kind: str) -> Array:
     return np.concatenate([b.pack(v) for b, v in zip(blocks, values, strict=True)])
 
 
-def check_inputs(
-    where: str, inputs: Mapping[str, tuple[str, ...]], u: Any, spreads: bool = False
-) -> Array:
-    """The inputs u (rows, 1 + channels) of an interval, as C-contiguous float64.
+def check_inputs(where: str, process: Any, u: Any, spreads: bool = False) -> Array:
+    """The inputs u (rows, 1 + channels) of a process over an interval, as C-contiguous float64.
 
     Each row: length of the sub-interval, s, then all inputs in their order, SI; with `spreads`,
     they may have as many columns more, see `relnav_graph.core.epochs.Epoch`.
 
     Raises InputError on another shape, values that are not finite, lengths that are not
-    positive, spreads below zero.
+    positive, spreads below zero, or that would take the process more steps than it can make.
     """
     array = np.ascontiguousarray(u, dtype=np.float64)
-    channels = sum(len(columns) for columns in inputs.values())
+    channels = sum(len(columns) for columns in process.inputs.values())
     widths = (1 + channels, 1 + 2 * channels) if spreads else (1 + channels,)
     if array.ndim != 2 or not len(array) or array.shape[1] not in widths:
         raise InputError(f"{where}: found u of {array.shape}, expected (rows, {widths[0]})")
@@ -73,6 +72,8 @@ def check_inputs(
         raise InputError(f"{where}: found u = {array}, expected finite values and lengths > 0")
     if (array[:, 1 + channels :] < 0).any():
         raise InputError(f"{where}: found u = {array}, expected spreads of zero or more")
+    if isinstance(process, IntegratesBySteps):
+        check_steps(where, float(array[:, 0].sum()), process.max_step)
     return array
 
 
@@ -236,7 +237,7 @@ class DynamicsModel:
         size, width = sum(b.size for b in self.advances), n + sum(b.dim for b in self.reads)
         outputs = _Outputs(self.kind, x_next=(size,), F=(n, width), Q=(n, n))
         x_next, F, Q = outputs.arrays
-        u = check_inputs(self.kind, self.inputs, u)
+        u = check_inputs(self.kind, self, u)
         status = self.kernel(self.constants(), float(t), u, packed, x_next, F, Q)
         if status:
             raise GeometryError(f"{self.kind}: from t = {t} s: {self.failure(status)}")

@@ -18,7 +18,7 @@ from relnav_graph.core.cautions import (
     interval_cautions,
     orbit_cautions,
 )
-from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
 from relnav_graph.core.epochs import Epoch, bridged, check_epoch
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.state import Layout
@@ -74,8 +74,9 @@ class Problem:
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
     fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
     gaps in inputs are bridged, by input, where they come online. Without epochs it is one to be
-    driven online: they come later. Raises ModelError when a block is
-    advanced by no process or by two, InputError when times do not increase or a sensor is unknown.
+    driven online: they come later. Raises ModelError when a block is advanced by no process or
+    by two, InputError when times do not increase, a sensor is unknown or two models have
+    different orbits.
     """
 
     processes: Mapping[str, Dynamics]
@@ -97,6 +98,7 @@ class Problem:
                     raise InputError(f"{name}: unknown sensor {sensor!r}")
         object.__setattr__(self, "epochs", tuple(self.epochs))
         object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))
+        check_orbits(self.processes, self.sensors)
         n = self.layout.dim
         if self.prior.x.shape != (self.layout.size,) or self.prior.P.shape != (n, n):
             raise InputError(
@@ -143,6 +145,25 @@ class Problem:
                 for key, length in bridged(self.processes[name], u).items():
                     found.setdefault(key, {})[epoch.t] = length
         return {key: list(lengths.items()) for key, lengths in found.items()}
+
+
+def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> None:
+    """Raise InputError, naming two models, unless frame o turns alike for all.
+
+    A model to which it matters has an `orbit`: the target's, or None for an o that is at rest.
+    """
+    found = [
+        (f"{section} {name!r} ({model.kind})", model.orbit)
+        for section, models in (("process", processes), ("sensor", sensors))
+        for name, model in models.items()
+        if isinstance(model, KnowsOrbit)
+    ]
+    for where, orbit in found[1:]:
+        if orbit != found[0][1]:
+            both = [f"{w} has {o or 'no orbit'}" for w, o in (found[0], (where, orbit))]
+            raise InputError(
+                f"{both[0]}, {both[1]}: expected one orbit for all, with which frame o turns"
+            )
 
 
 def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> Layout:

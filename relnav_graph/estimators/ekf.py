@@ -26,7 +26,6 @@ from relnav_graph.estimators.weights import (
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.filter import (
     FAILURES,
-    PROPAGATED,
     SENSOR_BROKE,
     FilterInput,
     FilterOutput,
@@ -227,12 +226,12 @@ def _why(assembly: Assembly, failure: Indices) -> str:
     stage, which, status, k = (int(v) for v in failure)
     if not stage:
         return ""
-    if stage == SENSOR_BROKE:
-        assembly.check(np.array([status]), which)
-    if stage != PROPAGATED:
+    if stage in FAILURES:
         return f"t = {assembly.times[k]} s: {FAILURES[stage]}"
     lag = len(assembly.times) - len(assembly.tables.starts)
     try:
+        if stage == SENSOR_BROKE:
+            assembly.check(np.array([status]), which)
         assembly.check_propagated(np.array([k - lag, which, status]))
     except GeometryError as error:
         return f"t = {assembly.times[k]} s: {error}"

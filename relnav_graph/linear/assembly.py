@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled.contracts import dynamics_address, sensor_address
+from relnav_graph.compiled.contracts import DEGENERATE, dynamics_address, sensor_address
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import Epoch, check_epoch
 from relnav_graph.core.problem import Problem
@@ -302,26 +302,27 @@ class Assembly:
         return {name: int(n) for name, n in zip(self.sensor_names, counts, strict=True)}
 
     def check(self, status: Indices, first: int = 0) -> None:
-        """Raise ModelError when a kernel broke its contract at an observation.
+        """Raise ModelError when a kernel broke its contract at an observation, GeometryError
+        when that is degenerate.
 
         status (count,): of the observations from `first` on.
         """
-        if len(status) and status.min() < 0:
-            i = int(np.nonzero(status < 0)[0][0])
-            o = first + i
-            name = self.sensor_names[self.sensor_of[o]]
-            t = self.times[self.tables.observations[o, EPOCH]]
-            raise ModelError(
-                f"sensor {name!r} ({self._sensors[name].kind}), id {self.ids[o]}"
-                f" at t = {t} s: the kernel {rows.BROKEN[int(status[i])]}"
-            )
+        bad = (status < 0) | (status >= DEGENERATE)
+        if bad.any():
+            i = int(np.nonzero(bad)[0][0])
+            o, name = first + i, self.sensor_names[self.sensor_of[first + i]]
+            sensor, t = self._sensors[name], self.times[self.tables.observations[o, EPOCH]]
+            where = f"sensor {name!r} ({sensor.kind}), id {self.ids[o]} at t = {t} s"
+            if status[i] < 0:
+                raise ModelError(f"{where}: the kernel {rows.BROKEN[int(status[i])]}")
+            raise GeometryError(f"{where}: {sensor.failure(int(status[i]))}")
 
     def measure(self, x: Array, weight: Array) -> MeasurementRows:
         """Rows of all observations at the states x (N, size).
 
         weight: (observations,), the square root of a robust weight; 0 leaves one out. An
         observation that is impossible at its state has status > 0 and rows of zeros.
-        Raises ModelError when a kernel breaks its contract.
+        Raises ModelError when a kernel breaks its contract, GeometryError where one is degenerate.
         """
         count = int(self.row_offsets[-1])
         r, H = np.empty(count), np.empty((count, self.layout.dim))

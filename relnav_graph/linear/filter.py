@@ -9,7 +9,14 @@ from numba import types
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit, jit_loop
-from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
+from relnav_graph.compiled.contracts import (
+    DEGENERATE,
+    INDEX_MATRIX,
+    INDICES,
+    MATRIX,
+    STACK,
+    VECTOR,
+)
 from relnav_graph.linear.rows import observe, propagate
 from relnav_graph.linear.tables import TABLES, Tables, rows_of
 from relnav_graph.linear.update import innovation_covariance, misfit, robust_update
@@ -251,7 +258,7 @@ def _measured_epoch(
     dense.put_vector(at[0], 0, x)
     observe(tables, first, last, k, at, weight, r, H, status)
     for i in range(last - first):
-        if status[i] < 0:
+        if status[i] < 0 or status[i] >= DEGENERATE:
             failure[0], failure[1], failure[2] = SENSOR_BROKE, first + i, status[i]
             return
         weight[i] = 1.0 if status[i] == 0 else 0.0

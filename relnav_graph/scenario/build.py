@@ -10,10 +10,11 @@ from pydantic import ValidationError
 
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
-from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
 from relnav_graph.core.measurement import Bridge
-from relnav_graph.core.problem import layout_of
-from relnav_graph.errors import ModelError
+from relnav_graph.core.problem import check_orbits, layout_of
+from relnav_graph.core.steps import check_steps
+from relnav_graph.errors import InputError, ModelError
 from relnav_graph.registry import find_class
 from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior
@@ -65,6 +66,20 @@ def _check_inputs(
             if needed not in inputs:
                 message = f"missing: processes.{name} ({process.kind}) needs this input"
                 problems.append((f"inputs.{needed}", message))
+
+
+def _check_steps(
+    processes: Mapping[str, Dynamics], truth: Any, file: ScenarioFile, problems: Problems
+) -> None:
+    """In a simulated pass, whose intervals are known, nothing takes steps without end."""
+    step = (file.time.step or 0.0) if file.truth is not None else 0.0
+    paths = {f"processes.{name}": process for name, process in processes.items()}
+    for path, model in {**paths, "truth": truth}.items():
+        if isinstance(model, IntegratesBySteps):
+            try:
+                check_steps("in this pass", step, model.max_step)
+            except InputError as error:
+                problems.append((f"{path}.max_step", str(error)))
 
 
 def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile | None:
@@ -126,12 +141,14 @@ def make_scenario(
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
             layout = layout_of(made["processes"], sensors)
-        except ModelError as error:
+            check_orbits(made["processes"], sensors)
+        except (ModelError, InputError) as error:
             problems.append(("", str(error)))
     if file is not None and layout is not None:
         check_prior(layout, file, problems)
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
+        _check_steps(made["processes"], truth, file, problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
     compile_ahead(

@@ -10,7 +10,7 @@ batch smoother extends over a few more frames, rates included; the one that fits
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,14 +97,32 @@ def _starts(problem: Problem, epoch: Epoch, names: Sequence[str]) -> Iterator[Ar
     """Rough states at an epoch, from its sensors."""
     layout = problem.layout
     known = {b.name: layout.value(problem.prior.x, b.name) for b in layout if b.name not in names}
-    for m in epoch.measurements:
-        sensor = problem.sensors[m.sensor]
-        starts = getattr(sensor, "starts", None)
-        if starts is None:
-            continue
-        z = sensor.accept(m.z)
-        for values in starts(m.ids, z, known):
+    for values in _proposed(problem, epoch, names, known):
+        if not values.keys().isdisjoint(names):
             yield layout.pack({**layout.values(problem.prior.x), **values})
+
+
+def _proposed(
+    problem: Problem, epoch: Epoch, names: Sequence[str], known: Mapping[str, Array]
+) -> Iterator[dict[str, Array]]:
+    """Values of the blocks known, and of all those of `names` that sensors can tell: what one
+    of them says of an attitude, say, lets the next one tell a position."""
+    for name in names:
+        if name in known:
+            continue
+        told = False
+        for m in epoch.measurements:
+            sensor = problem.sensors[m.sensor]
+            if not isinstance(sensor, ProposesStarts):
+                continue
+            for values in sensor.starts(m.ids, sensor.accept(m.z), known):
+                if name in values:
+                    told = True
+                    own = {n: v for n, v in values.items() if n in names}
+                    yield from _proposed(problem, epoch, names, {**own, **known})
+        if told:
+            return
+    yield dict(known)
 
 
 def _check_seen(problem: Problem, epoch: Epoch, H: Array, names: Sequence[str]) -> None:

@@ -58,7 +58,7 @@ def simulate(
 ) -> Recording:
     """A simulated pass: truth, inputs and measurements at `times` (N,), s.
 
-    Raises InputError when the truth cannot drive an input or a sensor.
+    Raises InputError when the truth cannot drive an input or a sensor, or is not finite.
     """
     layout = layout_of(processes, sensors)
     t0, t1 = float(times[0]), float(times[-1])
@@ -91,5 +91,13 @@ def simulate(
             at = np.searchsorted(edges, times - SAME_TIME)
             truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
     known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
+    for name, values in known.items():
+        bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if bad.any():
+            t = truth.t[int(np.nonzero(bad)[0][0])]
+            raise InputError(
+                f"truth: {name} is not finite at t = {t} s, expected numbers that can be integrated"
+                " (too large, or in another unit?)"
+            )
     truth = Truth(truth.t, known, truth.source)
     return Recording(times, measure_all(sensors, timings, truth, seed, run), series, truth)

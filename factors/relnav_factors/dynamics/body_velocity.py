@@ -73,6 +73,8 @@ class BodyVelocity(DynamicsModel):
     """
 
     kind: ClassVar[str] = "body_velocity"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "velocity": ("vx_m_s", "vy_m_s", "vz_m_s"),
         "gyro": GYRO_COLUMNS,

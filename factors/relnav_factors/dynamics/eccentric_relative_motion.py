@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
+from relnav_factors.shared.statuses import LOST_ORBIT, NO_PLACE, degenerate, finite, length_status
 from relnav_factors.shared.white_noise import add_step, duration, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -20,6 +21,13 @@ from relnav_graph.units import Quantity
 
 #: Where the numbers of the kernels stand in p, after the orbit (5,).
 _DENSITY, _MAX_STEP = 5, 6
+#: Status: the motion leaves what floats hold.
+_LEFT = 2
+FAILURES = {
+    LOST_ORBIT: NO_PLACE,
+    _LEFT: "the motion relative to the target is beyond what floats hold",
+    **degenerate("the distance of the chaser from the centre of attraction"),
+}
 
 
 @jit
@@ -93,11 +101,26 @@ def exact_step(orbit: Array, t: float, h: float, x: Array) -> tuple[Array, Array
 
 
 @jit
+def _why(p: Array, t: float, length: float, x: Array) -> int:
+    """The status of an interval over which the motion is not finite; see `LOST_ORBIT`.
+
+    p, x: as of `exact_kernel`; t: its start, length, s.
+    """
+    for at in (t, t + length):
+        motion = chief_motion(p, at)
+        if not np.isfinite(motion[0] + motion[2]):
+            return LOST_ORBIT
+    r = chief_motion(p, t)[0]
+    distance = np.sqrt((r + x[0]) ** 2 + x[1] ** 2 + x[2] ** 2)
+    return max(length_status(distance, 0), _LEFT)
+
+
+@jit
 def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """Exact difference of two two-body motions, see `relative_acceleration`, plus white noise.
 
     p (7,): orbit (5,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s. x,
-    x_next (6,): r_tc_o (m), r_tc_o' in o (m/s). F, Q (6, 6), SI.
+    x_next (6,): r_tc_o (m), r_tc_o' in o (m/s). F, Q (6, 6), SI. Status: see `FAILURES`.
     """
     length = duration(u)
     steps = step_count(length, p[_MAX_STEP])
@@ -106,6 +129,8 @@ def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     for n in range(steps):
         state, step = exact_step(p, t + n * h, h, state)
         add_step(step, p[_DENSITY] ** 2, h, total, noise)
+    if not (finite(total) and finite(state.reshape(1, 6))):
+        return _why(p, t, length, x)
     dense.put_vector(x_next, 0, state)
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
@@ -127,6 +152,8 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     for n in range(steps):
         step = relative_transition(p, t + n * h, t + (n + 1) * h)
         add_step(step, p[_DENSITY] ** 2, h, total, noise)
+    if not finite(total):
+        return _why(p, t, length, x)
     dense.put_vector(x_next, 0, dense.matvec(total, x))
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
@@ -148,6 +175,7 @@ class EccentricRelativeMotion(DynamicsModel):
 
     kind: ClassVar[str] = "eccentric_relative_motion"
     noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
+    failures = FAILURES
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     orbit: KeplerOrbit

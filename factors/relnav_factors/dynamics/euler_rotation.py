@@ -9,6 +9,7 @@ import numpy as np
 
 from relnav_factors.shared.inertia import coefficients_of, full_coefficients, principal_coefficients
 from relnav_factors.shared.rate_steps import published_step, rate_step, start_of
+from relnav_factors.shared.statuses import LOST_ORBIT, NO_BODY, ROTATION_FAILURES, TOO_FAST, finite
 from relnav_factors.shared.white_noise import add_step, duration, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -35,11 +36,14 @@ _TORQUE_DENSITY, _INERTIA_DENSITY, MAX_STEP, _EULER, _KNOWN = 5, 6, 7, 8, 9
 @jit
 def _rotate(
     p: Array, t: float, u: Array, x: Array, A: Array, dA: Array, x_next: Array, F: Array, Q: Array
-) -> None:
+) -> int:
     """``R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot`` and w', for the kernels below.
 
     A: (3, 6), dA: (dim k, 3, 6), see `principal_coefficients`; the rest: see `principal_kernel`.
+    Returns 0, or a status of `ROTATION_FAILURES`.
     """
+    if not finite(A):
+        return NO_BODY
     length = duration(u)
     steps = step_count(length, p[MAX_STEP])
     h = length / steps
@@ -68,12 +72,17 @@ def _rotate(
         add_step(step, p[_TORQUE_DENSITY] ** 2, h, total, noise)
         for i in range(6, n):
             noise[i, i] += p[_INERTIA_DENSITY] ** 2 * h
-    R_next = dense.matmul(frame_rotation(p, t, t + length), R_ot)
-    dense.put_matrix(x_next, 0, so3.project(R_next))
+    if not (finite(R_ot) and finite(total)):
+        return TOO_FAST
+    turned = frame_rotation(p, t, t + length)
+    if not finite(turned):
+        return LOST_ORBIT
+    dense.put_matrix(x_next, 0, so3.project(dense.matmul(turned, R_ot)))
     dense.put_vector(x_next, 9, w)
     dense.put_vector(x_next, 12, k)
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
+    return 0
 
 
 @jit
@@ -87,8 +96,7 @@ def principal_kernel(
     (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1.
     """
     A, dA = principal_coefficients(x[12:])
-    _rotate(p, t, u, x, A, dA, x_next, F, Q)
-    return 0
+    return _rotate(p, t, u, x, A, dA, x_next, F, Q)
 
 
 @jit
@@ -98,8 +106,7 @@ def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array,
     x, x_next (17,): R_ot, w_ti_t (rad/s), k (5,). F, Q (11, 11).
     """
     A, dA = full_coefficients(x[12:])
-    _rotate(p, t, u, x, A, dA, x_next, F, Q)
-    return 0
+    return _rotate(p, t, u, x, A, dA, x_next, F, Q)
 
 
 @jit
@@ -110,8 +117,7 @@ def known_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     (rad/s). F, Q (6, 6).
     """
     A = p[_KNOWN : _KNOWN + 18].reshape(3, 6)
-    _rotate(p, t, u, x, A, np.zeros((0, 3, 6)), x_next, F, Q)
-    return 0
+    return _rotate(p, t, u, x, A, np.zeros((0, 3, 6)), x_next, F, Q)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +140,7 @@ class EulerRotation(DynamicsModel):
     """
 
     kind: ClassVar[str] = "euler_rotation"
+    failures = ROTATION_FAILURES
 
     torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
     inertia_density: Annotated[float, Quantity("1/sqrt(s)", positive=True)] = 1e-8
@@ -154,13 +161,13 @@ class EulerRotation(DynamicsModel):
 
     @property
     def kernel(self) -> Kernel:  # type: ignore[override]
-        kernels = {"principal": principal_kernel, "full": full_kernel, "known": known_kernel}
-        return kernels[self.inertia]
+        return {"principal": principal_kernel, "full": full_kernel, "known": known_kernel}[
+            self.inertia
+        ]
 
     @property
     def noises(self) -> tuple[str, ...]:  # type: ignore[override]
-        names = "torque_density", "torque_density", "inertia_density"
-        return names[: len(self.advances)]
+        return ("torque_density", "torque_density", "inertia_density")[: len(self.advances)]
 
     @property
     def advances(self) -> tuple[Block, ...]:
@@ -176,8 +183,8 @@ class EulerRotation(DynamicsModel):
         return f"the target turns {np.degrees(turn):.0f} deg in {length:g} s: aliased from 180 deg"
 
     def constants(self) -> Array:
-        own = [self.torque_density, self.inertia_density, self.max_step]
-        own.append(float(self.integrator == "euler"))
+        euler = float(self.integrator == "euler")
+        own = [self.torque_density, self.inertia_density, self.max_step, euler]
         known = np.zeros(0) if self.known_inertia is None else coefficients_of(self.known_inertia)
         return np.concatenate([orbit_array(self.orbit), own, known.ravel()])
 

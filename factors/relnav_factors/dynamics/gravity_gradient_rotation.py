@@ -9,6 +9,7 @@ import numpy as np
 
 from relnav_factors.dynamics.euler_rotation import MAX_STEP, EulerRotation
 from relnav_factors.dynamics.euler_rotation import known_kernel as free_rotation
+from relnav_factors.shared.statuses import LOST_ORBIT, ROTATION_FAILURES, TOO_FAST, finite
 from relnav_factors.shared.white_noise import duration, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -86,7 +87,11 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         kicked = dense.identity(6)
         w = _kick(p, t + n * h, 0.5 * h, dense.matrix_at(y, 0), dense.vector_at(y, 9), kicked)
         dense.put_vector(y, 9, w)
-        free_rotation(free, t + n * h, one, y, after, step_F, step_Q)
+        if not finite(w.reshape(1, 3)):
+            return TOO_FAST if np.isfinite(chief_motion(p, t + n * h)[2]) else LOST_ORBIT
+        status = free_rotation(free, t + n * h, one, y, after, step_F, step_Q)
+        if status != 0:
+            return status
         kicked = dense.matmul(step_F, kicked)
         last = dense.identity(6)
         R_it, w = dense.matrix_at(after, 0), dense.vector_at(after, 9)
@@ -98,6 +103,8 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         noise = dense.add_scaled(dense.propagate_covariance(step, noise), added, 1.0)
         for i in range(12):
             y[i] = after[i]
+    if not (finite(total) and finite(y.reshape(1, 12))):
+        return TOO_FAST if np.isfinite(chief_motion(p, t + length)[2]) else LOST_ORBIT
     for i in range(12):
         x_next[i] = y[i]
     dense.put_block(F, 0, 0, total, 1.0)
@@ -121,8 +128,11 @@ class GravityGradientRotation(DynamicsModel):
     """
 
     kind: ClassVar[str] = "gravity_gradient_rotation"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     noises: ClassVar[tuple[str, ...]] = ("torque_density", "torque_density")
     kernel = staticmethod(kernel)
+    failures = ROTATION_FAILURES
 
     torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
     known_inertia: Annotated[Array, Quantity("kg*m^2", (3, 3))]
@@ -141,7 +151,7 @@ class GravityGradientRotation(DynamicsModel):
         object.__setattr__(self, "_numbers", self._constants())
 
     @property
-    def orbit(self) -> KeplerOrbit:
+    def inertial_orbit(self) -> KeplerOrbit:
         """The orbit in its plane. Raises InputError when there is none such."""
         elements = self.semi_major_axis, self.eccentricity, self.true_anomaly
         return KeplerOrbit(*elements, self.mu, self.epoch)
@@ -173,7 +183,7 @@ class GravityGradientRotation(DynamicsModel):
         R_ip = R_ip @ so3.exp(self.argument_of_perigee * z)
         J = self.known_inertia
         rest = [R_ip.ravel(), J.ravel(), np.linalg.inv(J).ravel(), self.free.constants()]
-        return np.concatenate([self.orbit.array(), *rest])
+        return np.concatenate([self.inertial_orbit.array(), *rest])
 
     def torque(self, t: float, R_it: Array) -> Array:
         """The known torque (3,) at time t, s, in t, N m."""

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from relnav_factors.shared.gauss_markov import walk_and_integral
+from relnav_factors.shared.statuses import LOST_ORBIT, NO_PLACE, finite
 from relnav_factors.shared.strapdown import GYRO_COLUMNS, LARGEST_TURN, condense
 from relnav_factors.shared.white_noise import carry, duration
 from relnav_graph.arrays import Array
@@ -31,7 +32,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     p (12,): orbit (5,), density of the angle's random walk (3,), rad/sqrt(s), of the bias's (3,),
     rad/s^1.5, T (s; inf: the bias is a random walk). u (rows, 4): dt (s), mean of the gyro
     (rad/s, in c). x, x_next (12,): R_oc (or R_tc) row by row, b (rad/s, in c). F, Q (6, 6), in rad
-    and rad/s.
+    and rad/s. Status: see `GyroBias.failures`.
 
     Noises of attitude and bias are correlated: the bias walks while the attitude turns. R_o1o0 is
     the turn of the orbital frame, see `relnav_graph.maths.orbit.frame_rotation`.
@@ -60,7 +61,12 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             noise[i, 3 + i] -= w * w * joint
             noise[3 + i, i] -= w * w * joint
             noise[3 + i, 3 + i] += w * w * own
-    R_next = dense.matmul(frame_rotation(p, t, t + duration(u)), R_oc)
+    if not finite(R_oc):
+        return 2
+    ahead = frame_rotation(p, t, t + duration(u))
+    if not finite(ahead):
+        return LOST_ORBIT
+    R_next = dense.matmul(ahead, R_oc)
     dense.put_matrix(x_next, 0, so3.project(R_next))
     dense.put_vector(x_next, 9, b)
     dense.put_block(F, 0, 0, total, 1.0)
@@ -87,6 +93,7 @@ class GyroBias(DynamicsModel):
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {"gyro": GYRO_COLUMNS}
     noises: ClassVar[tuple[str, ...]] = ("angle_random_walk_density", "bias_random_walk_density")
     kernel = staticmethod(kernel)
+    failures = {LOST_ORBIT: NO_PLACE, 2: "a turn of the gyro is beyond what floats hold"}
 
     angle_random_walk_density: Annotated[
         Array, Quantity("rad/sqrt(s)", (3,), positive=True, fill=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from relnav_factors.dynamics.accelerometer_bias import Navigation
 from relnav_factors.shared.driven_orbit import DrivenOrbit, drive
-from relnav_factors.shared.gravity import Degree
+from relnav_factors.shared.gravity import FAILURES, Degree, orbit_status
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_POSITION, CHASER_VELOCITY
@@ -29,7 +29,11 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     for i in range(6):
         y[i] = x[i]
     R_ic, b_g, b_f = dense.matrix_at(x, 6), dense.vector_at(x, 15), dense.vector_at(x, 18)
+    first = y.copy()
     y, S, noise = drive(p, u, y, R_ic, b_g, b_f)
+    status = orbit_status(first, y, S)
+    if status != 0:
+        return status
     dense.put_vector(x_next, 0, y)
     dense.put_block(F, 0, 0, S, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
@@ -45,6 +49,7 @@ class InertialOrbitMotion(DrivenOrbit):
 
     kind: ClassVar[str] = "inertial_orbit_motion"
     kernel = staticmethod(kernel)
+    failures = FAILURES
 
     degree: Degree = 4
     navigation: Navigation = "absolute"

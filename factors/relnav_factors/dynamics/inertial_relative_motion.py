@@ -9,7 +9,7 @@ import numpy as np
 
 from relnav_factors.dynamics.accelerometer_bias import Navigation
 from relnav_factors.shared.driven_orbit import OTHERS, DrivenOrbit, drive
-from relnav_factors.shared.gravity import Degree
+from relnav_factors.shared.gravity import FAILURES, Degree, orbit_status
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (
@@ -34,7 +34,11 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     for i in range(6):
         y[i], y[6 + i] = x[i], x[21 + i]
     R_ic, b_g, b_f = dense.matrix_at(x, 6), dense.vector_at(x, 15), dense.vector_at(x, 18)
+    first = y.copy()
     y, S, noise = drive(p, u, y, R_ic, b_g, b_f)
+    status = orbit_status(first, y, S)
+    if status != 0:
+        return status
     for i in range(6):
         x_next[i] = y[i]
         for j in range(6):
@@ -56,6 +60,7 @@ class InertialRelativeMotion(DrivenOrbit):
 
     kind: ClassVar[str] = "inertial_relative_motion"
     kernel = staticmethod(kernel)
+    failures = FAILURES
 
     degree: Degree = 2
     navigation: Navigation = "relative"

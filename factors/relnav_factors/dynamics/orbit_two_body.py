@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.gravity import FIELD, Degree, coast, earth_field
+from relnav_factors.shared.gravity import FAILURES, FIELD, Degree, coast, earth_field, orbit_status
 from relnav_factors.shared.white_noise import duration
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -28,6 +28,9 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     S, nothing = dense.identity(6), np.zeros((6, 6))
     walk, white, longest = p[FIELD], p[FIELD + 1], p[FIELD + 2]
     y, total, noise = coast(p, x, S, nothing, duration(u), longest, walk, white)
+    status = orbit_status(x, y, total)
+    if status != 0:
+        return status
     dense.put_vector(x_next, 0, y)
     dense.put_block(F, 0, 0, total, 1.0)
     dense.put_block(Q, 0, 0, noise, 1.0)
@@ -49,6 +52,7 @@ class OrbitTwoBody(DynamicsModel):
     kind: ClassVar[str] = "orbit_two_body"
     noises: ClassVar[tuple[str, ...]] = ("position_density", "acceleration_density")
     kernel = staticmethod(kernel)
+    failures = FAILURES
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     position_density: Annotated[float, Quantity("m/sqrt(s)", nonnegative=True)] = 0.0

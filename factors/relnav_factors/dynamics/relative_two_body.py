@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.gravity import FIELD, Degree, coast, earth_field
+from relnav_factors.shared.gravity import FAILURES, FIELD, Degree, coast, earth_field, orbit_status
 from relnav_factors.shared.white_noise import duration
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -33,6 +33,9 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     """
     S, nothing = dense.identity(12), np.zeros((6, 6))
     y, total, noise = coast(p, x, S, nothing, duration(u), p[FIELD + 1], 0.0, p[FIELD])
+    status = orbit_status(x, y, total)
+    if status != 0:
+        return status
     for i in range(6):
         x_next[i] = y[i]
         for j in range(12):
@@ -54,8 +57,11 @@ class RelativeTwoBody(DynamicsModel):
     """
 
     kind: ClassVar[str] = "relative_two_body"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
     kernel = staticmethod(kernel)
+    failures = FAILURES
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     degree: Degree = 0

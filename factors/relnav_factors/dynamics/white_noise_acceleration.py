@@ -50,6 +50,8 @@ class WhiteNoiseAcceleration(DynamicsModel):
     """
 
     kind: ClassVar[str] = "white_noise_acceleration"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     noises: ClassVar[tuple[str, ...]] = ("acceleration_density", "acceleration_density")
     kernel = staticmethod(kernel)
 

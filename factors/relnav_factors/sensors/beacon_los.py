@@ -9,23 +9,25 @@ import numpy as np
 
 from relnav_factors.shared.points import PointSensor, point_in_sensor
 from relnav_factors.shared.sphere import OPPOSITE, direction, sphere_residual, turned
+from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.measurement import Measurement
-from relnav_graph.errors import InputError
+from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.units import Quantity
 
 
 @jit(from_python=True)
-def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Array]:
-    """Unit vector b (3,) to a beacon in sensor axes, and its Jacobian to the pose.
+def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Array, float]:
+    """Unit vector b (3,) to a beacon in sensor axes, its Jacobian to the pose, and the distance.
 
     mounting: (12,): R_cs row by row, r_sc_c (m); beacon_t: (3,), m, in t; x: (21,): R_oc, R_ot,
-    r_tc_o (m), or (12,): R_tc, r_tc_t (m). The Jacobian is (3, 9) or (3, 6), per rad and per m.
+    r_tc_o (m), or (12,): R_tc, r_tc_t (m). The Jacobian is (3, 9) or (3, 6), per rad and per m; the
+    distance is in m.
     """
     p, jacobian = point_in_sensor(mounting, beacon_t, x)
-    b, _ = direction(p, jacobian)
-    return b, jacobian
+    b, distance = direction(p, jacobian)
+    return b, jacobian, distance
 
 
 @jit
@@ -34,11 +36,15 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
     p (12,): R_cs row by row, r_sc_c (m). q (3,): the beacon X_t, m. z (3,): unit vector in s. x
     (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m). r (2,), rad, see
-    `sphere_residual`. H (2, 9) or (2, 6). Status `OPPOSITE`: b is opposite to z.
+    `sphere_residual`. H (2, 9) or (2, 6). Status `OPPOSITE`: b is opposite to z;
+    or that of `length_status` for the distance to the beacon.
 
         b = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c), normalised
     """
-    b, db = line_of_sight(p, q, x)
+    b, db, distance = line_of_sight(p, q, x)
+    status = length_status(distance, 0)
+    if status != 0:
+        return status
     return sphere_residual(z, b, db, 0, r, H)
 
 
@@ -56,7 +62,10 @@ class BeaconLineOfSight(PointSensor):
     columns: ClassVar[tuple[str, ...]] = ("los_x", "los_y", "los_z")
     rows: ClassVar[int] = 2
     kernel = staticmethod(kernel)
-    failures = {OPPOSITE: "the beacon is seen opposite to where it should be"}
+    failures = {
+        OPPOSITE: "the beacon is seen opposite to where it should be",
+        **degenerate("the distance from the sensor to the beacon"),
+    }
 
     sigma: Annotated[float, Quantity("rad", positive=True)]
 
@@ -72,9 +81,14 @@ class BeaconLineOfSight(PointSensor):
         return z / lengths  # type: ignore[no-any-return]
 
     def predict(self, ids: Indices, *x: Array) -> Array:
-        """Unit vectors (k, 3) in sensor axes."""
+        """Unit vectors (k, 3) in sensor axes. Raises GeometryError on a beacon at the sensor."""
         p, packed = self.constants(), np.concatenate([np.ravel(value) for value in x])
-        return np.array([line_of_sight(p, q, packed)[0] for q in self.observation_data(ids)])
+        out = np.empty((len(ids), 3))
+        for k, q in enumerate(self.observation_data(ids)):
+            out[k], _, distance = line_of_sight(p, q, packed)
+            if status := length_status(distance, 0):
+                raise GeometryError(f"{self.kind}: id {ids[k]}: {self.failure(status)}")
+        return out
 
     def perturb(self, z: Array, e: Array) -> Array:
         """Turn each line by the rotation e (k, 2), rad, across it."""
@@ -91,7 +105,7 @@ class BeaconLineOfSight(PointSensor):
         distance = 10 * float(np.abs(self.points).max())  # of one beacon: no more than a guess
         if spread > 0:
             distance = np.sqrt(2 / 3) * size / spread  # seen from a side, on average
-        return np.asarray(distance * middle / np.linalg.norm(middle))
+        return np.asarray(distance * middle / max(float(np.linalg.norm(middle)), 1e-12))
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(self.sigma**2 * np.eye(2), (len(m.z), 1, 1))

@@ -9,6 +9,7 @@ import numpy as np
 
 from relnav_factors.dynamics.earth_sensor_bias import EARTH_SENSOR_BIAS
 from relnav_factors.shared.mounting import MountedSensor
+from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
@@ -41,9 +42,13 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """``r = (atan2(e_y, e_z), atan2(e_x, e_z)) + b - z``, see `earth_in_sensor`.
 
     p (9,): R_cs row by row. q (0,). z (2,): roll, pitch, rad. x (14,): R_ic row by row, r_c_i (m),
-    b (2,), rad. r (2,), rad. H (2, 8) to (R_ic, r_c_i, b). Status 1: the Earth is behind.
+    b (2,), rad. r (2,), rad. H (2, 8) to (R_ic, r_c_i, b). Status 1: the Earth is
+    behind; or that of `length_status` for its distance.
     """
     e, de = earth_in_sensor(dense.matrix_at(p, 0), x)
+    status = length_status(dense.norm(e), 0)
+    if status != 0:
+        return status
     if e[2] <= 0.0:
         return 1
     for i in range(2):
@@ -71,10 +76,15 @@ class EarthSensor(MountedSensor):
     """
 
     kind: ClassVar[str] = "earth_sensor"
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     columns: ClassVar[tuple[str, ...]] = ("roll_rad", "pitch_rad")
     rows: ClassVar[int] = 2
     kernel = staticmethod(kernel)
-    failures = {1: "the Earth is behind the sensor"}
+    failures = {
+        1: "the Earth is behind the sensor",
+        **degenerate("the distance from the chaser to the Earth's centre"),
+    }
 
     sigma: Annotated[float, Quantity("rad", positive=True)]
 

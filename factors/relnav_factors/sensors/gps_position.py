@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_graph.arrays import Array
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
 from relnav_graph.core.measurement import Measurement
@@ -62,8 +63,27 @@ class GpsPosition(SensorModel):
             return CHASER_POSITION, CHASER_ATTITUDE
         return (CHASER_POSITION,)
 
+    @property
+    def orbit(self) -> None:
+        """None where the antenna has an arm: o is i. Without one it does not matter."""
+        if not self.antenna_position.any():
+            raise AttributeError("orbit")
+
     def constants(self) -> Array:
         return self.antenna_position
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """The one position that a fix gives.
+
+        z: (k, 3), m; known: values of the other blocks: with an arm, R_ic (3, 3) is needed.
+        """
+        if not self.antenna_position.any():
+            yield {CHASER_POSITION.name: z[0]}
+        elif CHASER_ATTITUDE.name in known:
+            arm = known[CHASER_ATTITUDE.name] @ self.antenna_position
+            yield {CHASER_POSITION.name: z[0] - arm}
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(np.diag(self.sigma**2), (len(m.z), 1, 1))

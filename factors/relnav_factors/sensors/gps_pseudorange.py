@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_factors.dynamics.receiver_clock import CLOCK_BIAS
+from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH
@@ -31,15 +33,16 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """``r = |r_c - r_g| + b - measured``.
 
     p (0,). q (0,). z (4,): pseudorange (m), r_g_i of the satellite (m). x (4,): r_c_i (m), b (m),
-    the clock's offset times the speed of light. r (1,), m. H (1, 4). Status 1: the receiver is
-    where the satellite is.
+    the clock's offset times the speed of light. r (1,), m. H (1, 4). Status: that of
+    `length_status` for the distance.
     """
     line = dense.vector_at(x, 0)
     for i in range(3):
         line[i] -= z[1 + i]
     distance = dense.norm(line)
-    if distance == 0.0:
-        return 1
+    status = length_status(distance, 0)
+    if status != 0:
+        return status
     r[0] = distance + x[3] - z[0]
     for i in range(3):
         H[0, i] = line[i] / distance
@@ -67,7 +70,7 @@ class GpsPseudorange(SensorModel):
     columns: ClassVar[tuple[str, ...]] = ("pseudorange_m", "x_m", "y_m", "z_m")
     rows: ClassVar[int] = 1
     kernel = staticmethod(kernel)
-    failures = {1: "the receiver is where the satellite is"}
+    failures = degenerate("the distance from the receiver to the satellite")
 
     sigma: Annotated[float, Quantity("m", positive=True)]
     satellites: int = 24
@@ -133,7 +136,8 @@ class GpsPseudorange(SensorModel):
         line = places - r_c
         distance = np.sqrt((line**2).sum(axis=1))
         square = r_c @ r_c
-        along = line @ r_c / (distance * np.sqrt(square))
+        # At the Earth's centre all of them are behind it.
+        along = line @ r_c / np.maximum(distance * np.sqrt(square), 1e-30)
         behind = (along < 0) & (square * (1 - along**2) < EARTH_RADIUS**2)
         return places, (along < np.sin(self.mask)) | behind
 
@@ -153,6 +157,17 @@ class GpsPseudorange(SensorModel):
     def perturb(self, z: Array, e: Array) -> Array:
         """Add e (k, 1), m, to the pseudoranges."""
         return np.hstack([z[:, :1] + e, z[:, 1:]])
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """A place below the satellites, and a clock without error: four of them tell the rest.
+
+        z: (k, 4), m; known: values of the other blocks, of which none is needed.
+        """
+        up = z[:, 1:].mean(axis=0)
+        below = EARTH_RADIUS / max(float(np.linalg.norm(up)), 1.0) * up
+        yield {CHASER_POSITION.name: below, CLOCK_BIAS.name: np.zeros(1)}
 
     def noise(self, m: Measurement) -> Array:
         return np.full((len(m.z), 1, 1), self.sigma**2)

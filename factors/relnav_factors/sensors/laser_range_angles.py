@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -9,12 +10,13 @@ import numpy as np
 
 from relnav_factors.shared.mounting import MountedSensor
 from relnav_factors.shared.sphere import OPPOSITE, direction, sphere_residual, turned
+from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, RELATIVE_POSITION
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
-from relnav_graph.errors import InputError
+from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity
 
@@ -51,7 +53,8 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
     p (9,): R_cs, or R_os, row by row. q (0,). z (4,): range (m), unit vector in s, see
     `LaserRangeAngles.accept`. x (12,): r_tc_o (m), R_oc row by row, or (3,): r_tc_o. r (3,): m,
-    rad, rad. H (3, 6) or (3, 3). Status `OPPOSITE`: b is opposite to the line.
+    rad, rad. H (3, 6) or (3, 3). Status `OPPOSITE`: b is opposite to the line; or that of
+    `length_status` for the range.
 
         r = (|s| - range, rotation from the measured line to b = s / |s|)
 
@@ -60,6 +63,9 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     s, ds = target_in_sensor(dense.matrix_at(p, 0), x)
     to_line = dense.add_scaled(ds, ds, 0.0)
     b, distance = direction(s, to_line)
+    status = length_status(distance, 0)
+    if status != 0:
+        return status
     r[0] = distance - z[0]
     for j in range(ds.shape[1]):
         H[0, j] = b[0] * ds[0, j] + b[1] * ds[1, j] + b[2] * ds[2, j]
@@ -98,7 +104,10 @@ class LaserRangeAngles(MountedSensor):
     columns: ClassVar[tuple[str, ...]] = ("range_m", "azimuth_rad", "elevation_rad")
     rows: ClassVar[int] = 3
     kernel = staticmethod(kernel)
-    failures = {OPPOSITE: "the target is seen opposite to where it should be"}
+    failures = {
+        OPPOSITE: "the target is seen opposite to where it should be",
+        **degenerate("the distance from the sensor to the target"),
+    }
 
     range_sigma: Annotated[float, Quantity("m", positive=True)]
     angle_sigma: Annotated[float, Quantity("rad", positive=True)]
@@ -131,16 +140,33 @@ class LaserRangeAngles(MountedSensor):
         return np.hstack([z[:, :1], _lines(z)])
 
     def predict(self, ids: Indices, *x: Array) -> Array:
-        """Range, m, azimuth and elevation, rad, (k, 3)."""
+        """Range, m, azimuth and elevation, rad, (k, 3). Raises GeometryError at range zero."""
         packed = np.concatenate([np.ravel(value) for value in x])
         s, _ = target_in_sensor(np.ascontiguousarray(self.sensor_attitude), packed)
         distance = np.sqrt((s**2).sum())
+        if status := length_status(distance, 0):
+            raise GeometryError(f"{self.kind}: {self.failure(status)}")
         return np.tile(_angles(np.array([distance]), s[None] / distance), (len(ids), 1))
 
     def perturb(self, z: Array, e: Array) -> Array:
         """Add e (k, 3): to the range, m, and as a rotation across the line, rad."""
         lines = turned(_lines(z), np.ascontiguousarray(e[:, 1:]))
         return _angles(z[:, 0] + e[:, 0], lines)
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """The one position that a range and two angles give.
+
+        z: (k, 4), see `accept`; known: values of the other blocks: with axes of the chaser, R_oc
+        (3, 3) is needed.
+        """
+        r_tc_s = -z[0, 0] * z[0, 1:]
+        if self.axes == "orbital":
+            yield {RELATIVE_POSITION.name: self.sensor_attitude @ r_tc_s}
+        elif CHASER_ATTITUDE.name in known:
+            r_tc_o = known[CHASER_ATTITUDE.name] @ self.sensor_attitude @ r_tc_s
+            yield {RELATIVE_POSITION.name: r_tc_o}
 
     def noise(self, m: Measurement) -> Array:
         """R (k, 3, 3): the range's sigma follows the measured range."""

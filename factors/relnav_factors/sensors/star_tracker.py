@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from relnav_factors.shared.attitude import AttitudeSensor, attitude_residual
-from relnav_graph.arrays import Array
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
-from relnav_graph.maths import dense
+from relnav_graph.maths import dense, so3
 from relnav_graph.maths.orbit import KeplerOrbit
 
 
@@ -69,6 +70,15 @@ class StarTracker(AttitudeSensor):
     @property
     def reads(self) -> tuple[Block, ...]:
         return (CHASER_ATTITUDE,)
+
+    def starts(
+        self, ids: Indices, z: Array, known: Mapping[str, Array]
+    ) -> Iterator[dict[str, Array]]:
+        """The one attitude that the first measurement gives.
+
+        z: (k, 4), q_wxyz; known: values of the other blocks, of which none is needed.
+        """
+        yield {CHASER_ATTITUDE.name: so3.from_quaternion(z[0]) @ self.sensor_attitude.T}
 
     def attitude(self, *x: Array) -> Array:
         """R_is (3, 3), which takes sensor axes to inertial ones.

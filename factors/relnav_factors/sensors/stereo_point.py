@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from relnav_factors.shared.points import PointSensor, point_in_sensor
+from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.measurement import Measurement
@@ -47,10 +48,15 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
 
     p (17,): R_cs row by row, r_sc_c (m), fu, fv, cu, cv (px), baseline (m). q (3,): the point X_t,
     m. z (4,): ul, vl, ur, vr, pixels. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc,
-    r_tc_t (m). r (4,), pixels. H (4, 9) or (4, 6). Status 1: behind the camera.
+    r_tc_t (m). r (4,), pixels. H (4, 9) or (4, 6). Status 1: behind the camera; or
+    that of `length_status` for the distance.
     """
     point_s, jacobian = point_in_sensor(p, q, x)
-    if point_s[2] <= 0.0:
+    distance = dense.norm(point_s)
+    status = length_status(distance, 0)
+    if status != 0:
+        return status
+    if point_s[2] <= 1e-12 * distance:  # beside it: a pixel is infinitely far off
         return 1
     pixels, dpixels = project_stereo(p, point_s)
     dense.put_vector(r, 0, dense.add_scaled_vector(pixels, z, -1.0))
@@ -85,7 +91,10 @@ class StereoPoint(PointSensor):
     columns: ClassVar[tuple[str, ...]] = ("ul_px", "vl_px", "ur_px", "vr_px")
     rows: ClassVar[int] = 4
     kernel = staticmethod(pixel_kernel)
-    failures = {1: "the point is behind the camera"}
+    failures = {
+        1: "the point is behind the camera",
+        **degenerate("the distance from the camera to the point"),
+    }
 
     fu: Annotated[float, Quantity("px", positive=True)]
     fv: Annotated[float, Quantity("px", positive=True)]
@@ -102,7 +111,7 @@ class StereoPoint(PointSensor):
         """Pixels (k, 4). Raises GeometryError on a point behind the camera."""
         p, out = self.constants(), np.empty((len(ids), 4))
         for k, point_s in enumerate(self.points_in_sensor(ids, *x)):
-            if point_s[2] <= 0:
+            if point_s[2] <= 1e-12 * dense.norm(point_s):
                 raise GeometryError(f"{self.kind}: id {ids[k]} at depth {point_s[2]:.3g} m")
             out[k] = project_stereo(p, point_s)[0]
         return out

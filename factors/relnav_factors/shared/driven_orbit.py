@@ -83,6 +83,8 @@ class DrivenOrbit(DynamicsModel):
     navigation: which estimate of the accelerometer's bias it takes.
     """
 
+    #: o does not turn.
+    orbit: ClassVar[None] = None
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = STRAPDOWN_INPUTS
     noises: ClassVar[tuple[str, ...]] = ("velocity_random_walk_density",) * 2
 

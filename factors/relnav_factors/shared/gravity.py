@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from relnav_factors.shared.statuses import degenerate, finite, length_status
 from relnav_factors.shared.white_noise import add_integrated_white_noise, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -140,6 +141,34 @@ def orbit_step(p: Array, y: Array, h: float) -> tuple[Array, Array]:
         ahead = h if stage == 2 else 0.5 * h
         at_y, at_d = dense.add_scaled_vector(y, k, ahead), dense.add_scaled(one, dk, ahead)
     return end_y, end_d
+
+
+#: Status: an orbit leaves what floats hold.
+_LEFT = 1
+FAILURES = {
+    _LEFT: "an orbit is beyond what floats hold",
+    **degenerate(
+        "the distance of the chaser from the Earth's centre",
+        "the distance of the target from the Earth's centre",
+    ),
+}
+
+
+@jit
+def orbit_status(y0: Array, y: Array, S: Array) -> int:
+    """0 where an orbit stayed finite over an interval, else a status of `FAILURES`.
+
+    y0, y: (n,), as of `orbit_step`, at its start and end; S: (n, m), its sensitivity.
+    """
+    n = y.shape[0]
+    if finite(y.reshape(1, n)) and finite(S):
+        return 0
+    r_c = dense.vector_at(y0, n - 6)
+    status = length_status(dense.norm(r_c), 0)
+    if status == 0 and n > 6:
+        r_t = dense.add_scaled_vector(r_c, dense.vector_at(y0, 0), -1.0)
+        status = length_status(dense.norm(r_t), 1)
+    return max(status, _LEFT)
 
 
 @jit

@@ -9,6 +9,9 @@ from relnav_graph.compiled import jit
 from relnav_graph.maths import dense
 from relnav_graph.maths.inertia import TRACELESS
 
+#: Largest norm of a matrix of which an exponential is taken, and the squarings that it takes.
+_LARGEST, _SQUARINGS = 1024.0, 11
+
 
 @jit(from_python=True)
 def principal_ratios(k: Array) -> tuple[Array, Array]:
@@ -27,14 +30,19 @@ def principal_ratios(k: Array) -> tuple[Array, Array]:
 @jit
 def _exponential(S: Array) -> tuple[Array, Array]:
     """exp(S) of a symmetric (3, 3) matrix and its derivatives along `TRACELESS`, (5, 3, 3):
-    Taylor's series of S / 2^m, differentiated term by term, then squared m times."""
+    Taylor's series of S / 2^m, differentiated term by term, then squared m times.
+
+    NaN where S is so large that exp(S) is beyond floats."""
     size = 0.0
     for i in range(3):
         for j in range(3):
             size += S[i, j] ** 2
+    if not size < _LARGEST**2:
+        return np.full((3, 3), np.nan), np.full((5, 3, 3), np.nan)
     squarings = 0
-    while size > 0.25:
-        size, squarings = size / 4, squarings + 1
+    for _ in range(_SQUARINGS):
+        if size > 0.25:
+            size, squarings = size / 4, squarings + 1
     scale = 0.5**squarings
     small = dense.add_scaled(np.zeros((3, 3)), S, scale)
     out, term = dense.identity(3), dense.identity(3)

@@ -110,7 +110,7 @@ class PointSensor(MountedSensor):
         """What is weak, or not seen at all, where all points are near each other: the
         range, turns of the target, and turns of everything together in frame o."""
         R, r = x[-2], x[-1]
-        along = r[:, None] / np.linalg.norm(r)
+        along = r[:, None] / max(float(np.linalg.norm(r)), 1e-30)
         across = np.linalg.svd(along.T)[2][1:].T
         turned = {"about the line of sight": along, "across the line of sight": across}
         none = np.zeros((3, 1))

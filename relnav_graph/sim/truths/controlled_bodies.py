@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
@@ -163,6 +164,7 @@ class BodiesFlight:
         if torque.shape != (3,) or not np.isfinite(torque).all():
             raise InputError(f"controlled_bodies: found command {command}, expected 3 numbers, N m")
         length = t - self.t
+        check_steps("truth", length, self._max_step)
         steps = np.ceil(length / self._max_step * (1 - 1e-12))
         if steps > 0:
             span = np.array([self.t, length / steps, steps])

@@ -13,6 +13,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import TRACELESS, check_inertia, second_moments
@@ -108,6 +109,7 @@ class TumblingBody:
         y, out = np.array([*craft, *q_ip, *(R_tp.T @ self.target_rate)]), np.empty((1, STATE_SIZE))
         found, density = [], np.repeat(self._densities(), 3)
         for dt in np.diff(t, prepend=0.0):
+            check_steps("truth", float(dt), self.max_step)
             count = int(np.ceil(dt / self.max_step * (1 - 1e-12)))
             h = dt / max(count, 1)
             disturbance = rng.standard_normal((count, 6)) * density / np.sqrt(h or 1.0)

@@ -10,6 +10,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import SAME_TIME
+from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
@@ -160,6 +161,7 @@ class PoweredFlight:
         pushed_i = thrust / truth.mass + self._wandering[3:]
         before, t_before = self._steady(), self.t
         held = np.concatenate([self._wandering[:3], pushed_i])
+        check_steps("truth", h, truth.max_step)
         steps = max(1, int(np.ceil(h / truth.max_step * (1 - 1e-9))))
         self._y = fly_orbits(self._y, held, h / steps, steps)
         self.t = t

@@ -13,6 +13,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
@@ -137,10 +138,12 @@ class RigidBodyPair(OrbitElements):
         Values: chaser_attitude R_oc and target_attitude R_ot (N, 3, 3), relative_position
         r_tc_o and relative_velocity (its derivative in o), target_rate w_ti_t, chaser_rate
         w_ci_c (N, 3), inertia_parameters (N, 2). Noise is constant over each integration
-        step with variance density^2 / step. Raises InputError on times out of order.
+        step with variance density^2 / step. Raises InputError on times out of order, or too far
+        apart for the steps.
         """
         t = checked_times(times)
         spans = np.diff(t, prepend=0.0)
+        check_steps("truth", float(spans.max()), self.max_step)
         # The margin keeps a span of 10 s, rounded up, from taking one step more.
         counts = np.ceil(spans / self.max_step * (1 - 1e-12)).astype(np.int64)
         h = spans / np.maximum(counts, 1)
