@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -36,6 +35,7 @@ from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.files import check_name, read_file
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.tabular import (
     Format,
@@ -46,7 +46,7 @@ from relnav_graph.io.tabular import (
     to_components,
     write_table,
 )
-from relnav_graph.scenario.toml import read_toml
+from relnav_graph.scenario.toml import read_toml, refuse_modules
 
 __all__ = [
     "Format",
@@ -158,18 +158,22 @@ def _manifest(folder: Path) -> dict[str, Any]:
     path = folder / "dataset.toml"
     if not path.exists():
         return {}
-    manifest = read_toml(path)
+    manifest = read_toml(path, of_data=True)
     if manifest.get("format") != _FORMAT:
-        raise InputError(f"{path}: found format {manifest.get('format')}, expected {_FORMAT}")
+        raise InputError(f"{path}: found format {manifest.get('format')!r}, expected {_FORMAT}")
     settings, digests = manifest.get("settings", {}), manifest.get("sha256")
     if not isinstance(digests, dict) or not isinstance(settings, dict):
         raise InputError(f"{path}: expected tables [settings] and [sha256]")
+    for key, found in {"truth_source": manifest.get("truth_source", ""), **digests}.items():
+        if not isinstance(found, str):
+            raise InputError(f"{path}: {key}: found {found!r}, expected text")
     if digests.pop("settings", None) != _digest(tomli_w.dumps(settings).encode()):
         raise InputError(f"{path}: [settings] changed since it was written")
     for name, digest in digests.items():
-        if not (folder / name).is_file():
+        check_name(f"{path}, [sha256]", name)
+        if not (folder / name).exists():
             raise InputError(f"{folder / name}: missing, though dataset.toml lists it")
-        if _digest((folder / name).read_bytes()) != digest:
+        if _digest(read_file(folder / name)) != digest:
             raise InputError(
                 f"{folder / name}: truncated or changed since it was written; if on purpose,"
                 " take its line out of dataset.toml"
@@ -177,9 +181,16 @@ def _manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def read_scenario_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """The scenario of a data set, as tables. Raises InputError without a valid one."""
-    return read_toml(Path(folder) / "scenario.toml")
+def read_scenario_of(folder: str | os.PathLike[str], trust: bool = False) -> dict[str, Any]:
+    """The scenario of a data set, as tables. trust: it may name modules, which are code.
+
+    Raises InputError without a valid one.
+    """
+    path = Path(folder) / "scenario.toml"
+    raw = read_toml(path, of_data=True)
+    if not trust:
+        refuse_modules(str(path), raw)
+    return raw
 
 
 def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
@@ -294,8 +305,9 @@ def _tables(
             tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
     names = [name for name, _ in tables]
     for name in names:
-        if names.count(name) > 1 or not re.fullmatch(r"\w[\w.+-]*", name):
-            raise InputError(f"{name!r} cannot name a table: taken twice, or no name of a file")
+        check_name("tables", name)
+        if names.count(name) > 1:
+            raise InputError(f"{name!r} cannot name a table: taken twice")
     return dict(tables)
 
 
@@ -304,8 +316,11 @@ def _is_dataset(folder: Path) -> bool:
     path = folder / "dataset.toml"
     if not path.is_file():
         return False
-    own = {"dataset.toml", "scenario.toml", *read_toml(path).get("sha256", {})}
-    return all(p.name in own for p in folder.iterdir())
+    manifest = read_toml(path, of_data=True)
+    listed = manifest.get("sha256")
+    if manifest.get("format") != _FORMAT or not isinstance(listed, dict):
+        return False
+    return all(p.name in {"dataset.toml", "scenario.toml", *listed} for p in folder.iterdir())
 
 
 def write_dataset(

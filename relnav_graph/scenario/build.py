@@ -13,6 +13,7 @@ from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.problem import layout_of
 from relnav_graph.errors import ModelError
+from relnav_graph.files import printable
 from relnav_graph.registry import find_class
 from relnav_graph.scenario.priors import check_prior
 from relnav_graph.scenario.scenario import Scenario
@@ -26,7 +27,7 @@ from relnav_graph.scenario.schema import (
     make_kind,
     shared_orbit,
 )
-from relnav_graph.scenario.toml import merge, override, read_toml
+from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 from relnav_graph.sim.contracts import ControlledTruth, Controller, SimulatedTruth
 
@@ -74,12 +75,19 @@ def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile |
 
 
 def make_scenario(
-    raw: Mapping[str, Any], name: str, settings: Mapping[str, Any] | None = None
+    raw: Mapping[str, Any],
+    name: str,
+    settings: Mapping[str, Any] | None = None,
+    trust: bool = False,
 ) -> Scenario:
     """A scenario from its tables, over the settings that recorded data bring.
 
-    Raises ScenarioError with everything that is wrong.
+    name: what it is called, a label; trust: the settings may name modules, which are code.
+    Raises ScenarioError with everything that is wrong, InputError on a module named by data.
     """
+    name = printable(name)
+    if not trust:
+        refuse_modules(f"{name}: settings of the data", settings or {})
     sections = {"processes", "sensors"}
     # Before the data are read, what they will bring may be missing, and nothing else.
     waiting = settings is None and "data" in raw
