@@ -41,11 +41,11 @@ from relnav_graph.io.tabular import (
     Format,
     Table,
     component_columns,
-    from_components,
     read_table,
     to_components,
     write_table,
 )
+from relnav_graph.io.truth import read_truth
 from relnav_graph.scenario.toml import read_toml, refuse_modules
 
 __all__ = [
@@ -59,8 +59,6 @@ __all__ = [
 Columns = Mapping[str, NDArray[Any]]
 
 _FORMAT = 1
-#: Measurements this close to an epoch, s, belong to it (as in `problem.make_epochs`).
-_UNIT_QUATERNION = 1e-6
 
 
 def _need_table(folder: Path, stem: str) -> Table:
@@ -76,7 +74,8 @@ def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
     table.require(("t_s", "id", *sensor.columns), optional=("t_arrival_s",))
     table.increasing("t_s", strictly=False)
     t, raw_ids, z = table["t_s"], table["id"], table.stack(sensor.columns)
-    table.refuse(raw_ids != np.rint(raw_ids), "id", "a whole number")
+    whole = (raw_ids == np.rint(raw_ids)) & (np.abs(raw_ids) <= 2.0**53)
+    table.refuse(~whole, "id", "a whole number of at most 2^53")
     ids = raw_ids.astype(np.int64)
     order = np.lexsort((ids, t))
     repeated = np.zeros(len(t), dtype=bool)
@@ -108,45 +107,6 @@ def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
     overlap = np.concatenate(([False], t_start[1:] < t_end[:-1] - 1e-9))
     table.refuse(overlap, "t_start_s", "a time not before t_end_s of the row above")
     return InputSeries(name, t_start, t_end, table.stack(channels))
-
-
-def _on_epochs(truth: Truth, times: Array) -> Truth:
-    """The truth with rows of NaN added at those of `times` (N,), s, that it lacks."""
-    padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
-    right = np.searchsorted(padded, times)
-    apart = np.minimum(times - padded[right - 1], padded[right] - times)
-    lacking = times[apart > SAME_TIME]
-    order = np.argsort(t := np.concatenate([truth.t, lacking]), kind="stable")
-    values = {}
-    for name, value in truth.values.items():
-        empty = np.full((len(lacking), *value.shape[1:]), np.nan)
-        values[name] = np.concatenate([value, empty])[order]
-    return Truth(t[order], values, truth.source)
-
-
-def _truth(folder: Path, blocks: Mapping[str, Block], source: str) -> Truth | None:
-    """Truth of those of `blocks` that have a table, at all times that any of them has."""
-    found: dict[str, tuple[Array, Array]] = {}
-    for name, block in blocks.items():
-        table = read_table(folder, f"truth_{name}")
-        if table is None:
-            continue
-        columns = component_columns(block)
-        table.require(("t_s", *columns))
-        table.increasing("t_s")
-        components = table.stack(columns)
-        if block.manifold == "SO3":
-            norm = np.linalg.norm(components, axis=1)
-            table.refuse(np.abs(norm - 1) > _UNIT_QUATERNION, "q_w", "a quaternion of length one")
-        found[name] = table["t_s"], from_components(block, components)
-    if not found:
-        return None
-    times = np.unique(np.concatenate([t for t, _ in found.values()]))
-    values = {}
-    for name, (t, known) in found.items():
-        values[name] = np.full((len(times), *known.shape[1:]), np.nan)
-        values[name][np.searchsorted(times, t)] = known
-    return Truth(times, values, source)
 
 
 def _digest(data: bytes) -> str:
@@ -244,9 +204,7 @@ def read_dataset(
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
-    truth = _truth(folder, blocks, manifest.get("truth_source", ""))
-    if truth is not None:
-        truth = _on_epochs(truth, times)
+    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""))
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 

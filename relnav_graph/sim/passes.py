@@ -15,7 +15,7 @@ from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.sim.contracts import ControlledTruth, IntervalInstrument
 from relnav_graph.sim.instruments.constant_input import ConstantInput
-from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
+from relnav_graph.sim.instruments.interval_inputs import IntervalInputs, check_samples
 from relnav_graph.sim.sensors import Timing, measure_all, stream
 from relnav_graph.sim.truths.own_models import OwnModels
 
@@ -83,6 +83,7 @@ def simulate(
             if isinstance(source, ConstantInput):
                 series[name] = source.series(name, t0, t1)
                 continue
+            check_samples(name, source, t0, t1)
             edges = source.edges(t0, t1)
             rates = truth_model.mean_rate(edges[:-1], edges[1:])
             rng = stream(seed, run, f"input {name}")
