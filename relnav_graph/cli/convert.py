@@ -18,9 +18,15 @@ from relnav_graph.runs.passes import is_dataset, open_dataset, open_pass
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
 @click.option("--scenario", type=click.Path(path_type=Path), help="For a raw folder: its scenario.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+@click.option("--trust", is_flag=True, help="Let the data set name modules to import.")
 @click.option("--parquet", is_flag=True, help="Parquet tables instead of CSV (extra: data).")
 def command(
-    source: Path, target: Path, scenario: Path | None, assignments: tuple[str, ...], parquet: bool
+    source: Path,
+    target: Path,
+    scenario: Path | None,
+    assignments: tuple[str, ...],
+    trust: bool,
+    parquet: bool,
 ) -> None:
     r"""Convert IN to OUT.
 
@@ -36,7 +42,7 @@ def command(
         return
     show_events()
     if is_dataset(source):
-        opened = open_dataset(source, assignments)
+        opened = open_dataset(source, assignments, trust)
     elif scenario is not None:
         opened = open_pass(scenario, None, source, assignments)
     elif source.is_dir():

@@ -11,7 +11,8 @@ from relnav_graph.cli.shared import show_events, show_progress
 
 @click.command("report")
 @click.argument("out", type=click.Path(path_type=Path))
-def command(out: Path) -> int:
+@click.option("--trust", is_flag=True, help="Let the scenario in OUT name modules to import.")
+def command(out: Path, trust: bool) -> int:
     """Write OUT/report.html, of the folder that study, compare or smooth wrote with -o.
 
     The file needs nothing else: no network, no other file. It has the setting, the
@@ -23,7 +24,7 @@ def command(out: Path) -> int:
     from relnav_graph.report.page import write_report
 
     show_progress(f"reading {out} ...")
-    content = read_contents(out)
+    content = read_contents(out, trust)
     if isinstance(content, StudyContents) and content.worst:
         show_progress(f"making run {content.worst[0].run} again, the worst, and drawing ...")
     show_progress(f"wrote {write_report(content, out)}")

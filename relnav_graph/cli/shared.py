@@ -12,6 +12,7 @@ import click
 
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import GROUP
+from relnav_graph.files import printable
 from relnav_graph.registry import find_class
 from relnav_graph.scoring.text import table as comparison_table
 
@@ -40,7 +41,7 @@ def show_events() -> None:
 
 def command_line() -> str:
     """What the user typed, for manifests."""
-    return str(click.get_current_context().obj or "")
+    return printable(str(click.get_current_context().obj or ""))
 
 
 def check_before_work(kinds: Sequence[str], out: Path | None) -> None:

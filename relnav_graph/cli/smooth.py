@@ -25,18 +25,20 @@ from relnav_graph.runs.passes import open_dataset
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder for results."
 )
+@click.option("--trust", is_flag=True, help="Let the data set name modules to import.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     dataset: Path,
     kinds: tuple[str, ...],
     assignments: tuple[str, ...],
     out: Path,
+    trust: bool,
     as_json: bool,
 ) -> int:
     """Smooth the pass recorded in DATASET, by the scenario that lies in it."""
     check_before_work(kinds, out)
     show_events()
-    opened = open_dataset(dataset, assignments)
+    opened = open_dataset(dataset, assignments, trust)
     found = compare_pass(opened, kinds or ("batch",), show_progress)
     show_progress(f"writing {out} ...")
     write_outputs(out, opened, found, command_line())

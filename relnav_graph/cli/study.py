@@ -16,6 +16,7 @@ import click
 from relnav_graph.cli.progress import study_progress
 from relnav_graph.cli.shared import check_before_work, report, show_events, show_progress
 from relnav_graph.errors import InputError
+from relnav_graph.files import printable
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.conduct import Workers, do_runs, do_until, merge, study_summary
 from relnav_graph.study.folder import StudyFolder
@@ -90,7 +91,8 @@ def _place(out: Path | None) -> Iterator[Path]:
 
 def _rerun(scenario: Path, spec: StudySpec, assignments: Sequence[str]) -> str:
     settings = [part for text in assignments for part in ("--set", text)]
-    return shlex.join(["relnav", "compare", str(scenario), "--seed", str(spec.seed), *settings])
+    words = ["relnav", "compare", str(scenario), "--seed", str(spec.seed), *settings]
+    return printable(shlex.join(words))
 
 
 def _show(
@@ -116,6 +118,7 @@ def _show(
 @click.option("--dask", metavar="ADDRESS", help="Scheduler of dask.distributed, or 'local'.")
 @click.option("--shard", type=_Shard(), help="Make only this part of the runs, for a queue.")
 @click.option("--merge", "merging", is_flag=True, help="Join the folders of shards.")
+@click.option("--trust", is_flag=True, help="Let the folders to merge name modules to import.")
 @click.option("--until-ci", type=_Precision(), help="Stop when every RMSE is known that well.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder; resumed if there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -129,6 +132,7 @@ def command(
     dask: str | None,
     shard: tuple[int, int] | None,
     merging: bool,
+    trust: bool,
     until_ci: float | None,
     out: Path | None,
     as_json: bool,
@@ -147,7 +151,7 @@ def command(
     if merging:
         if out is None:
             raise click.UsageError("--merge needs -o OUT, the folder to join the shards in")
-        folder = merge(out, paths)
+        folder = merge(out, paths, trust)
         count = max(folder.runs(), default=-1) + 1
         missing = sorted(set(range(count)) - set(folder.runs()))
         lost = dict.fromkeys(missing, "no shard has this run")

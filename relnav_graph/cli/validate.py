@@ -19,8 +19,9 @@ from relnav_graph.scenario.schema import json_schema
 @click.command("validate")
 @click.argument("file", type=click.Path(path_type=Path), required=False)
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
+@click.option("--trust", is_flag=True, help="Let the data set name modules to import.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of scenarios and exit.")
-def command(file: Path | None, assignments: tuple[str, ...], schema: bool) -> None:
+def command(file: Path | None, assignments: tuple[str, ...], trust: bool, schema: bool) -> None:
     """Check FILE, a scenario or a data-set folder, and say what is in it."""
     if schema:
         click.echo(json.dumps(json_schema(), indent=2))
@@ -29,7 +30,7 @@ def command(file: Path | None, assignments: tuple[str, ...], schema: bool) -> No
         raise click.UsageError("Missing argument 'FILE'.")
     if file.is_dir():
         show_events()
-        opened = open_dataset(file, assignments)
+        opened = open_dataset(file, assignments, trust)
         _ = opened.problem  # it raises what is wrong with the recording
         counted: dict[str, int] = {}
         for m in opened.recording.measurements:

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -36,17 +35,18 @@ from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.files import check_name, read_file
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.tabular import (
     Format,
     Table,
     component_columns,
-    from_components,
     read_table,
     to_components,
     write_table,
 )
-from relnav_graph.scenario.toml import read_toml
+from relnav_graph.io.truth import read_truth
+from relnav_graph.scenario.toml import read_toml, refuse_modules
 
 __all__ = [
     "Format",
@@ -59,8 +59,6 @@ __all__ = [
 Columns = Mapping[str, NDArray[Any]]
 
 _FORMAT = 1
-#: Deviation of a quaternion's length from one that is accepted.
-_UNIT_QUATERNION = 1e-6
 
 
 def _need_table(folder: Path, stem: str) -> Table:
@@ -76,7 +74,8 @@ def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
     table.require(("t_s", "id", *sensor.columns), optional=("t_arrival_s",))
     table.increasing("t_s", strictly=False)
     t, raw_ids, z = table["t_s"], table["id"], table.stack(sensor.columns)
-    table.refuse(raw_ids != np.rint(raw_ids), "id", "a whole number")
+    whole = (raw_ids == np.rint(raw_ids)) & (np.abs(raw_ids) <= 2.0**53)
+    table.refuse(~whole, "id", "a whole number of at most 2^53")
     ids = raw_ids.astype(np.int64)
     order = np.lexsort((ids, t))
     repeated = np.zeros(len(t), dtype=bool)
@@ -112,45 +111,6 @@ def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
     return InputSeries(name, t_start, t_end, table.stack(channels), None, *where)
 
 
-def _on_epochs(truth: Truth, times: Array) -> Truth:
-    """The truth, with a row of NaN added at each of `times` (N,), s, that it lacks."""
-    padded = np.concatenate(([-np.inf], truth.t, [np.inf]))
-    right = np.searchsorted(padded, times)
-    apart = np.minimum(times - padded[right - 1], padded[right] - times)
-    lacking = times[apart > SAME_TIME]
-    order = np.argsort(t := np.concatenate([truth.t, lacking]), kind="stable")
-    values = {}
-    for name, value in truth.values.items():
-        empty = np.full((len(lacking), *value.shape[1:]), np.nan)
-        values[name] = np.concatenate([value, empty])[order]
-    return Truth(t[order], values, truth.source)
-
-
-def _truth(folder: Path, blocks: Mapping[str, Block], source: str) -> Truth | None:
-    """Truth of those of `blocks` that have a table, at all times that any of them has."""
-    found: dict[str, tuple[Array, Array]] = {}
-    for name, block in blocks.items():
-        table = read_table(folder, f"truth_{name}")
-        if table is None:
-            continue
-        columns = component_columns(block)
-        table.require(("t_s", *columns))
-        table.increasing("t_s")
-        components = table.stack(columns)
-        if block.manifold == "SO3":
-            norm = np.linalg.norm(components, axis=1)
-            table.refuse(np.abs(norm - 1) > _UNIT_QUATERNION, "q_w", "a quaternion of length one")
-        found[name] = table["t_s"], from_components(block, components)
-    if not found:
-        return None
-    times = np.unique(np.concatenate([t for t, _ in found.values()]))
-    values = {}
-    for name, (t, known) in found.items():
-        values[name] = np.full((len(times), *known.shape[1:]), np.nan)
-        values[name][np.searchsorted(times, t)] = known
-    return Truth(times, values, source)
-
-
 def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
@@ -160,18 +120,22 @@ def _manifest(folder: Path) -> dict[str, Any]:
     path = folder / "dataset.toml"
     if not path.exists():
         return {}
-    manifest = read_toml(path)
+    manifest = read_toml(path, of_data=True)
     if manifest.get("format") != _FORMAT:
-        raise InputError(f"{path}: found format {manifest.get('format')}, expected {_FORMAT}")
+        raise InputError(f"{path}: found format {manifest.get('format')!r}, expected {_FORMAT}")
     settings, digests = manifest.get("settings", {}), manifest.get("sha256")
     if not isinstance(digests, dict) or not isinstance(settings, dict):
         raise InputError(f"{path}: expected tables [settings] and [sha256]")
+    for key, found in {"truth_source": manifest.get("truth_source", ""), **digests}.items():
+        if not isinstance(found, str):
+            raise InputError(f"{path}: {key}: found {found!r}, expected text")
     if digests.pop("settings", None) != _digest(tomli_w.dumps(settings).encode()):
         raise InputError(f"{path}: [settings] changed since it was written")
     for name, digest in digests.items():
-        if not (folder / name).is_file():
+        check_name(f"{path}, [sha256]", name)
+        if not (folder / name).exists():
             raise InputError(f"{folder / name}: missing, though dataset.toml lists it")
-        if _digest((folder / name).read_bytes()) != digest:
+        if _digest(read_file(folder / name)) != digest:
             raise InputError(
                 f"{folder / name}: truncated or changed since it was written; if on purpose,"
                 " take its line out of dataset.toml"
@@ -179,9 +143,16 @@ def _manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def read_scenario_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """The scenario of a data set, as tables. Raises InputError without a valid one."""
-    return read_toml(Path(folder) / "scenario.toml")
+def read_scenario_of(folder: str | os.PathLike[str], trust: bool = False) -> dict[str, Any]:
+    """The scenario of a data set, as tables. trust: it may name modules, which are code.
+
+    Raises InputError without a valid one.
+    """
+    path = Path(folder) / "scenario.toml"
+    raw = read_toml(path, of_data=True)
+    if not trust:
+        refuse_modules(str(path), raw)
+    return raw
 
 
 def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
@@ -235,9 +206,7 @@ def read_dataset(
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
-    truth = _truth(folder, blocks, manifest.get("truth_source", ""))
-    if truth is not None:
-        truth = _on_epochs(truth, times)
+    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""))
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 
@@ -296,8 +265,9 @@ def _tables(
             tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
     names = [name for name, _ in tables]
     for name in names:
-        if names.count(name) > 1 or not re.fullmatch(r"\w[\w.+-]*", name):
-            raise InputError(f"{name!r} cannot name a table: taken twice, or no name of a file")
+        check_name("tables", name)
+        if names.count(name) > 1:
+            raise InputError(f"{name!r} cannot name a table: taken twice")
     return dict(tables)
 
 
@@ -306,8 +276,11 @@ def _is_dataset(folder: Path) -> bool:
     path = folder / "dataset.toml"
     if not path.is_file():
         return False
-    own = {"dataset.toml", "scenario.toml", *read_toml(path).get("sha256", {})}
-    return all(p.name in own for p in folder.iterdir())
+    manifest = read_toml(path, of_data=True)
+    listed = manifest.get("sha256")
+    if manifest.get("format") != _FORMAT or not isinstance(listed, dict):
+        return False
+    return all(p.name in {"dataset.toml", "scenario.toml", *listed} for p in folder.iterdir())
 
 
 def write_dataset(

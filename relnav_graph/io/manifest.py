@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
+from relnav_graph.io.stored import Count, Label, read_json
 
 __all__ = ["PASS_FILE", "PassManifest"]
 
@@ -28,10 +28,10 @@ class PassManifest:
     command: the command line, empty where there was none.
     """
 
-    name: str
+    name: Label
     raw: Mapping[str, Any]
-    seed: int
-    run: int
+    seed: Count
+    run: Count
     simulated: bool
     versions: Mapping[str, str]
     command: str = ""
@@ -48,17 +48,4 @@ class PassManifest:
         """The manifest in a folder. Raises InputError on one that is missing, damaged or
         of another version."""
         file = folder / PASS_FILE
-        try:
-            found = json.loads(file.read_text("utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"{file}: cannot be read: {error}") from error
-        if not isinstance(found, dict) or found.get("format") != _FORMAT:
-            raise InputError(f"{file}: not a manifest of a pass")
-        if found.get("format_version") != _VERSION:
-            version = found.get("format_version")
-            raise InputError(f"{file}: found format version {version}, expected {_VERSION}")
-        names = [f.name for f in fields(PassManifest)]
-        missing = [n for n in names if n not in found]
-        if missing:
-            raise InputError(f"{file}: damaged: no {', '.join(missing)}")
-        return PassManifest(**{n: found[n] for n in names})
+        return read_json(file, PassManifest, "a manifest of a pass", _FORMAT, _VERSION)

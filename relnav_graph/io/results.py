@@ -11,20 +11,22 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field, Json
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.state import Block, Layout
-from relnav_graph.core.track import Track, Truth
-from relnav_graph.errors import InputError
+from relnav_graph.core.track import Kind, Status, Track, Truth
+from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
+from relnav_graph.io.stored import Count, check_json
 from relnav_graph.io.tabular import component_columns, from_components, to_components, write_table
 
 __all__ = ["cautions_in", "cautions_out", "read_results", "write_csv", "write_results"]
@@ -54,12 +56,27 @@ def _block_variable(block: Block, values: Array) -> Variable:
     return Variable(("time", f"{block.name}_component"), components, attributes)
 
 
-def _block_of(name: str, variable: Variable) -> Block:
-    a = variable.attributes
-    texts = {k: str(a[k]) for k in ("symbol", "frame")}
-    manifold: Any = a["manifold"]
-    dim, unit, table_unit = int(a["tangent_dim"]), str(a["tangent_units"]), str(a["table_units"])
-    return Block(name, manifold=manifold, dim=dim, unit=unit, table_unit=table_unit, **texts)
+@dataclass(frozen=True)
+class _StoredBlock:
+    """The attributes of a block's variable that are read back."""
+
+    symbol: str
+    manifold: Literal["SO3", "vector"]
+    tangent_dim: Annotated[int, Field(ge=1, le=1000)]
+    tangent_units: str
+    frame: str
+    table_units: str
+
+
+def _block_of(where: str, name: str, variable: Variable) -> Block:
+    a = check_json(f"{where}/{name}", _json(variable.attributes), _StoredBlock)
+    try:
+        return Block(
+            *(name, a.symbol, a.manifold, a.tangent_dim),
+            *(a.tangent_units, a.frame, a.table_units),
+        )
+    except RelnavError as error:
+        raise InputError(f"{where}/{name}: damaged: {error}") from error
 
 
 def cautions_out(cautions: Iterable[Caution]) -> str:
@@ -67,9 +84,10 @@ def cautions_out(cautions: Iterable[Caution]) -> str:
     return json.dumps([vars(c) for c in cautions])
 
 
-def cautions_in(text: str) -> tuple[Caution, ...]:
-    """The cautions that `cautions_out` made an attribute of."""
-    return tuple(Caution(**c) for c in json.loads(text))
+def cautions_in(where: str, text: str) -> tuple[Caution, ...]:
+    """The cautions that `cautions_out` made an attribute of. Raises InputError, naming `where`, on
+    another text."""
+    return tuple(check_json(where, text.encode(), list[Caution]))
 
 
 def _tangent_columns(block: Block) -> tuple[str, ...]:
@@ -161,44 +179,107 @@ def write_results(
     write_groups(path, _FORMAT, _VERSION, groups)
 
 
-def _track(groups: Mapping[str, Group], name: str) -> Track:
-    variables, a = groups[name].variables, groups[name].attributes
-    order = str(variables["covariance"].attributes["block_order"]).split()
-    layout = Layout(_block_of(key, variables[key]) for key in order)
-    t = variables["time"].values
+@dataclass(frozen=True)
+class _StoredTrack:
+    """The attributes of a track's group."""
+
+    name: str
+    kind: Kind
+    status: Status
+    message: str
+    runtime_s: float
+    rejected: Json[dict[str, Count]]
+    downweighted: Json[dict[str, Count]] = field(default_factory=dict)
+    smoothed: str = ""
+    truth: str = ""
+    controlled: str = ""
+    cautions: Json[list[Caution]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _StoredFile:
+    """The attributes of the file that are not the caller's."""
+
+    tracks: Json[list[str]]
+
+
+@dataclass(frozen=True)
+class _StoredTruth:
+    """The attributes of a truth's group."""
+
+    source: str
+
+
+def _json(attributes: Attributes) -> bytes:
+    return json.dumps(attributes).encode()
+
+
+def _group(path: str, groups: Mapping[str, Group], name: str) -> Group:
+    if name not in groups:
+        raise InputError(f"{path}: damaged: no group {name!r}; found {', '.join(groups)}")
+    return groups[name]
+
+
+def _variable(where: str, group: Group, name: str) -> Variable:
+    if name not in group.variables:
+        raise InputError(f"{where}: damaged: no variable {name!r}")
+    return group.variables[name]
+
+
+def _values(where: str, group: Group, name: str, shape: tuple[int, ...]) -> Array:
+    """A variable of a shape; -1 stands for any length."""
+    values = _variable(where, group, name).values
+    if len(values.shape) != len(shape) or any(
+        n not in (-1, m) for n, m in zip(shape, values.shape, strict=True)
+    ):
+        raise InputError(f"{where}/{name}: damaged: found {values.shape}, expected {shape}")
+    return values
+
+
+def _block_values(where: str, group: Group, block: Block, count: int) -> Array:
+    shape = (count, 4 if block.manifold == "SO3" else block.dim)
+    return from_components(block, _values(where, group, block.name, shape))
+
+
+def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = False) -> Track:
+    where, group = f"{path}, {name}", _group(path, groups, name)
+    a = check_json(where, _json(group.attributes), _StoredTrack)
+    order = str(_variable(where, group, "covariance").attributes.get("block_order", "")).split()
+    layout = Layout(_block_of(where, key, _variable(where, group, key)) for key in order)
+    t = _values(where, group, "time", (-1,))
     columns = [np.zeros((len(t), 0))]
-    columns += [from_components(b, variables[b.name].values).reshape(len(t), -1) for b in layout]
-    kind: Any = a["kind"]
-    status: Any = a["status"]
-    truth = groups[str(a["truth"])] if a.get("truth") else None
-    controlled = str(a.get("controlled", "")).split()
+    columns += [_block_values(where, group, b, len(t)).reshape(len(t), -1) for b in layout]
+    if nested and a.smoothed:
+        raise InputError(f"{where}: damaged: smoothed: found {a.smoothed!r}, of a smoothed track")
+    truth = _group(path, groups, a.truth) if a.truth else None
+    controlled = a.controlled.split() if truth is not None else []
     return Track(
-        name=str(a["name"]),
-        kind=kind,
+        name=a.name,
+        kind=a.kind,
         layout=layout,
         t=t,
         x=np.hstack(columns),
-        P=variables["covariance"].values,
-        status=status,
-        message=str(a["message"]),
-        runtime_s=float(a["runtime_s"]),
-        step_s=variables["step_s"].values if "step_s" in variables else None,
-        rejected=json.loads(str(a["rejected"])),
-        downweighted=json.loads(str(a.get("downweighted", "{}"))),
-        smoothed=_track(groups, str(a["smoothed"])) if a["smoothed"] else None,
-        truth=_truth(truth) if truth is not None else None,
-        controlled=tuple(_block_of(n, truth.variables[n]) for n in controlled if truth is not None),
-        cautions=cautions_in(str(a.get("cautions", "[]"))),
+        P=_values(where, group, "covariance", (len(t), layout.dim, layout.dim)),
+        status=a.status,
+        message=a.message,
+        runtime_s=a.runtime_s,
+        step_s=_values(where, group, "step_s", (-1,)) if "step_s" in group.variables else None,
+        rejected=a.rejected,
+        downweighted=a.downweighted,
+        smoothed=_track(path, groups, a.smoothed, True) if a.smoothed else None,
+        truth=_truth(f"{path}, {a.truth}", truth) if truth is not None else None,
+        controlled=tuple(
+            _block_of(where, n, _variable(where, truth, n)) for n in controlled if truth is not None
+        ),
+        cautions=tuple(a.cautions),
     )
 
 
-def _truth(group: Group) -> Truth:
-    values = {
-        name: from_components(_block_of(name, variable), variable.values)
-        for name, variable in group.variables.items()
-        if name != "time"
-    }
-    return Truth(group.variables["time"].values, values, str(group.attributes["source"]))
+def _truth(where: str, group: Group) -> Truth:
+    t = _values(where, group, "time", (-1,))
+    blocks = [_block_of(where, n, v) for n, v in group.variables.items() if n != "time"]
+    values = {b.name: _block_values(where, group, b, len(t)) for b in blocks}
+    return Truth(t, values, check_json(where, _json(group.attributes), _StoredTruth).source)
 
 
 def read_results(
@@ -209,10 +290,11 @@ def read_results(
     Raises InputError on a file that is missing, truncated, damaged, of another program or
     of another version.
     """
-    groups = read_groups(path, _FORMAT, _VERSION)
+    groups, file = read_groups(path, _FORMAT, _VERSION), os.fspath(path)
     attributes = groups[""].attributes
-    tracks = [_track(groups, name) for name in json.loads(str(attributes["tracks"]))]
-    truth = _truth(groups["truth"]) if "truth" in groups else None
+    names = check_json(file, _json(attributes), _StoredFile).tracks
+    tracks = [_track(file, groups, name) for name in names]
+    truth = _truth(f"{file}, truth", groups["truth"]) if "truth" in groups else None
     return tracks, truth, {k: str(v) for k, v in attributes.items() if k not in _OWN}
 
 
@@ -220,8 +302,11 @@ def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
     """One table per track, and per smoothed track: time, components, sigmas; SI and rad.
 
     Attitudes are quaternions, their sigmas rotation angles about the axes on the right of
-    the frame's letters. Raises InputError when a file cannot be written.
+    the frame's letters. Raises InputError when a file cannot be written, or would lie elsewhere.
     """
+    for track in tracks:
+        if Path(track.name).name != track.name:
+            raise InputError(f"{folder}: {track.name!r} cannot name a table in it")
     for track in tracks:
         columns = {"t_s": track.t}
         for block in track.layout:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
+from relnav_graph.files import check_memory, check_name, read_file
 from relnav_graph.maths import dense, so3
 
 __all__ = [
@@ -32,6 +33,9 @@ __all__ = [
 ]
 
 Format = Literal["csv", "parquet"]
+
+#: What other programs separate columns by.
+_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 def component_columns(block: Block) -> tuple[str, ...]:
@@ -107,26 +111,67 @@ class Table:
         self.refuse(bad, column, f"a time {'after' if strictly else 'not before'} the row above")
 
 
+def _text(path: Path) -> str:
+    content = read_file(path)
+    check_memory(str(path), 6.0 * len(content))  # what rows of short texts come to
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        utf_16 = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+        hint = "; it is UTF-16, as some spreadsheets write" if utf_16 else ""
+        raise InputError(
+            f"{path}, line {line}: found the byte 0x{content[error.start]:02x}, expected"
+            f" UTF-8{hint}"
+        ) from error
+
+
 def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Lines with something on them, and their numbers."""
+    reader = csv.reader(io.StringIO(_text(path), newline=""))
     try:
-        reader = csv.reader(io.StringIO(path.read_text("utf-8-sig"), newline=""))
         for row in reader:
             if row:
                 yield reader.line_num, row
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV table: {error}") from error
+    except csv.Error as error:
+        raise InputError(f"{path}, line {reader.line_num}: {error}") from error
+
+
+def _header(path: Path, line: int, names: Sequence[str]) -> tuple[str, ...]:
+    """Names of columns. Raises InputError when they are none, or not once each."""
+    names = [name.strip() for name in names]
+    if not names:
+        raise InputError(f"{path}, line {line}: found nothing, expected names of columns")
+    for name in names:
+        if not name or names.count(name) > 1:
+            found = f"{name!r} {names.count(name)} times" if name else "a column without a name"
+            raise InputError(f"{path}, line {line}: found {found}, expected names, once each")
+    if len(names) == 1:
+        for mark, called in _SEPARATORS.items():
+            if mark in names[0]:
+                raise InputError(
+                    f"{path}, line {line}: found names separated by {called}, expected commas"
+                    " (and points in numbers)"
+                )
+    if not any(np.isnan(_number(name)) for name in names):
+        raise InputError(
+            f"{path}, line {line}: found numbers, {', '.join(names)}; expected the names of columns"
+        )
+    return tuple(names)
 
 
 def _read_csv(path: Path) -> Table:
     rows = _csv_rows(path)
-    header = [name.strip() for name in next(rows, (0, []))[1]]
-    if not header or len(set(header)) < len(header):
-        raise InputError(f"{path}, line 1: found {header}, expected names of columns, once each")
+    first, names = next(rows, (1, []))
+    header = _header(path, first, names)
     lines, cells = [], []
     for line, row in rows:
         if len(row) != len(header):
-            raise InputError(f"{path}, line {line}: found {len(row)} of {len(header)} columns")
+            many = len(row) > len(header) and all(cell.strip("+- ").isdigit() for cell in row)
+            hint = "; are there commas in the numbers?" if many else ""
+            raise InputError(
+                f"{path}, line {line}: found {len(row)} of {len(header)} columns{hint}"
+            )
         lines.append(line)
         cells.append(row)
     try:
@@ -134,9 +179,12 @@ def _read_csv(path: Path) -> Table:
     except ValueError:
         values = np.array([[_number(cell) for cell in row] for row in cells])
         line, column = np.argwhere(np.isnan(values))[0]
+        found = cells[line][column]
+        hint = ", with a point" if re.fullmatch(r"[\d\s+-]+,\d+", found) else ""
+        found = repr(found) if len(found) < 60 else repr(found[:60]) + "..."
         raise InputError(
             f"{path}, line {lines[line]}, column {header[column]}:"
-            f" found {cells[line][column]!r}, expected a number"
+            f" found {found}, expected a number{hint}"
         ) from None
     columns = {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
     return Table(path, columns, np.array(lines, dtype=np.int64))
@@ -158,13 +206,18 @@ def _pyarrow() -> Any:
 
 
 def _read_parquet(path: Path) -> Table:
-    pyarrow = _pyarrow()
+    pyarrow, content = _pyarrow(), read_file(path)
     try:
-        table = pyarrow.parquet.read_table(path)
+        file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
+        size = file.metadata.num_rows, file.metadata.num_columns
+        check_memory(str(path), 8.0 * size[0] * size[1])
+        names = _header(path, 1, file.schema_arrow.names)
+        table = file.read()
         columns = {
-            name: np.array(table.column(name).to_numpy(), dtype=np.float64)
-            for name in table.column_names
+            name: np.array(table.column(name).to_numpy(), dtype=np.float64) for name in names
         }
+    except InputError:
+        raise
     except (OSError, TypeError, ValueError, pyarrow.ArrowException) as error:
         raise InputError(f"{path}: not a readable Parquet table of numbers: {error}") from error
     # Numbered as the same table would be in CSV, below a line of names.
@@ -172,7 +225,12 @@ def _read_parquet(path: Path) -> Table:
 
 
 def read_table(folder: Path, stem: str) -> Table | None:
-    """The table of that name, all numbers finite; None when there is none."""
+    """The table of that name, all numbers finite; None when there is none.
+
+    Raises InputError, naming file, line and column, on a file that is no table of numbers, and
+    on a name that is a path.
+    """
+    check_name(str(folder), stem)
     found = [p for p in (folder / f"{stem}.csv", folder / f"{stem}.parquet") if p.exists()]
     if len(found) > 1:
         raise InputError(f"{folder}: found both {found[0].name} and {found[1].name}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,16 @@ import numpy as np
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.files import read_file
 from relnav_graph.io.manifest import PASS_FILE, PassManifest
 from relnav_graph.io.results import cautions_in, read_results
+from relnav_graph.io.stored import Count, check_json
 from relnav_graph.runs.comparison import compare_pass
 from relnav_graph.runs.passes import simulated_pass
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.schema import ScenarioError
+from relnav_graph.scenario.toml import refuse_modules
 from relnav_graph.scoring.metrics import summary, versions
 from relnav_graph.study.collect import Collected
 from relnav_graph.study.conduct import study_summary
@@ -86,20 +89,39 @@ class StudyContents:
         return PassContents(self.scenario, found.summary, tracks, truth, command, versions())
 
 
+@dataclass(frozen=True)
+class _Failed:
+    """A run without a result, as a summary has it."""
+
+    run: Count
+    estimator: str | None
+    message: str
+
+
+@dataclass(frozen=True)
+class _Summary:
+    """Of ``summary.json``, what is read back."""
+
+    failed: list[_Failed]
+
+
+def _stored_scenario(file: Path, raw: Mapping[str, Any], name: str) -> Scenario:
+    """The scenario in a manifest. Raises ScenarioError that names its file."""
+    try:
+        return make_scenario(raw, name)
+    except ScenarioError as error:
+        raise ScenarioError(f"{file}, raw", error.problems) from error
+
+
 def _lost(path: Path, there: set[int]) -> dict[int, str]:
     """Runs that the study gave up, so that they have no record: its summary names them."""
     file = path / "summary.json"
     if not file.is_file():  # of a study that is not at its end
         return {}
-    try:
-        failed = json.loads(file.read_text("utf-8"))["failed"]
-        return {
-            int(one["run"]): str(one["message"])
-            for one in failed
-            if one["estimator"] is None and one["run"] not in there
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: damaged: {type(error).__name__}: {error}") from error
+    failed = check_json(str(file), read_file(file), _Summary).failed
+    return {
+        one.run: one.message for one in failed if one.estimator is None and one.run not in there
+    }
 
 
 def _judged(found: Collected) -> str:
@@ -132,8 +154,9 @@ def _worst(found: Collected, judged: str, rerun: str) -> list[WorstRun]:
     return out
 
 
-def _read_study(path: Path) -> StudyContents:
-    folder = StudyFolder.open(path)
+def _read_study(path: Path, trust: bool) -> StudyContents:
+    folder = StudyFolder.open(path, trust)
+    scenario = _stored_scenario(path / "study.json", folder.spec.raw, folder.spec.name)
     there = folder.runs()
     if not there:
         raise InputError(f"{path}: no run of the study is done yet")
@@ -145,7 +168,7 @@ def _read_study(path: Path) -> StudyContents:
     estimators = "".join(f" -e {kind}" for kind in spec.estimators)
     command = folder.rerun.replace("relnav compare", "relnav study", 1)
     return StudyContents(
-        make_scenario(spec.raw, spec.name),
+        scenario,
         found_summary,
         found,
         f"{command} --runs {max([*there, *lost]) + 1}{estimators}" if command else "",
@@ -157,10 +180,12 @@ def _read_study(path: Path) -> StudyContents:
     )
 
 
-def _read_pass(path: Path) -> PassContents:
-    manifest = PassManifest.read(path)
+def _read_pass(path: Path, trust: bool) -> PassContents:
+    manifest, file = PassManifest.read(path), path / PASS_FILE
+    if not trust:
+        refuse_modules(str(file), {"raw": manifest.raw})
+    scenario = _stored_scenario(file, manifest.raw, manifest.name)
     tracks, truth, attributes = read_results(path / "results.nc")
-    scenario = make_scenario(manifest.raw, manifest.name)
     if not tracks:
         raise InputError(f"{path / 'results.nc'}: holds no track")
     found = summary(
@@ -171,22 +196,23 @@ def _read_pass(path: Path) -> PassContents:
         derived_quantities(scenario.layout),
         scenario.window(tracks[0].t),
         len(tracks[0].t),
-        cautions_in(attributes.get("cautions", "[]")),
+        cautions_in(f"{path / 'results.nc'}, cautions", attributes.get("cautions", "[]")),
     )
     return PassContents(scenario, found, tracks, truth, manifest.command, manifest.versions)
 
 
-def read_contents(path: Path) -> StudyContents | PassContents:
+def read_contents(path: Path, trust: bool = False) -> StudyContents | PassContents:
     """What the folder of ``relnav study``, ``compare`` or ``smooth`` holds.
 
-    Raises InputError on a folder of something else, and on damaged files.
+    trust: its scenario may name modules ("module:Class"), which are then imported. Raises
+    InputError on a folder of something else, and on damaged files.
     """
     if not path.is_dir():
         raise InputError(f"{path}: {'is a file, expected' if path.exists() else 'no such'} folder")
     if (path / "study.json").is_file():
-        return _read_study(path)
+        return _read_study(path, trust)
     if (path / PASS_FILE).is_file():
-        return _read_pass(path)
+        return _read_pass(path, trust)
     raise InputError(
         f"{path}: found no study.json and no {PASS_FILE}, expected the folder that relnav"
         " study, compare or smooth wrote with -o"

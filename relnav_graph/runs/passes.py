@@ -61,14 +61,15 @@ def simulated_pass(scenario: Scenario, seed: int, run: int = 0, loops: bool = Tr
     return Pass(scenario, scenario.simulate(seed, run), seed, True, run)
 
 
-def open_dataset(folder: Path, assignments: Sequence[str] = ()) -> Pass:
+def open_dataset(folder: Path, assignments: Sequence[str] = (), trust: bool = False) -> Pass:
     """A data set with its own scenario, settings changed by "key=value" assignments.
 
-    Raises InputError on whatever is wrong.
+    trust: its scenario may name modules ("module:Class"), which are then imported. Raises
+    InputError on whatever is wrong.
     """
     _need_folder(folder)
-    raw = override(read_scenario_of(folder), assignments)
-    scenario = make_scenario(raw, folder.name, read_settings_of(folder))
+    raw = override(read_scenario_of(folder, trust), assignments)
+    scenario = make_scenario(raw, folder.resolve().name, read_settings_of(folder), trust)
     return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
 
 

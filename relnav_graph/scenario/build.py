@@ -15,6 +15,7 @@ from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.problem import check_orbits, layout_of
 from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import InputError, ModelError
+from relnav_graph.files import printable
 from relnav_graph.registry import find_class
 from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior
@@ -29,7 +30,7 @@ from relnav_graph.scenario.schema import (
     make_kind,
     shared_orbit,
 )
-from relnav_graph.scenario.toml import merge, override, read_toml
+from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 from relnav_graph.sim.contracts import ControlledTruth, Controller, DrivenTruth, SimulatedTruth
 
@@ -91,12 +92,19 @@ def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile |
 
 
 def make_scenario(
-    raw: Mapping[str, Any], name: str, settings: Mapping[str, Any] | None = None
+    raw: Mapping[str, Any],
+    name: str,
+    settings: Mapping[str, Any] | None = None,
+    trust: bool = False,
 ) -> Scenario:
     """A scenario from the tables of its file; they win over the `settings` of recorded data.
 
-    Raises ScenarioError with everything that is wrong.
+    name: what it is called, a label; trust: the settings may name modules, which are code.
+    Raises ScenarioError with everything that is wrong, InputError on a module named by data.
     """
+    name = printable(name)
+    if not trust:
+        refuse_modules(f"{name}: settings of the data", settings or {})
     sections = {"processes", "sensors"}
     # Until the data are read, settings that they may bring count as present, not as missing.
     waiting = settings is None and "data" in raw

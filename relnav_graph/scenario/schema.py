@@ -51,6 +51,12 @@ def _checked_bound(value: float | str) -> float | str:
     return value
 
 
+def _checked_title(value: str) -> str:
+    if not set("".join(value.split())).isdisjoint(map(chr, range(32))):  # no file holds a NUL
+        raise InputError(f"found {value!r}, expected text without control characters")
+    return value
+
+
 MISSING = "missing, and required"
 Seconds = Annotated[float, Quantity("s", positive=True)]
 Bound = Annotated[float | str, AfterValidator(_checked_bound)]
@@ -197,7 +203,7 @@ class ScenarioFile(BaseModel):
 
     model_config = _STRICT
 
-    title: str
+    title: Annotated[str, AfterValidator(_checked_title)]
     description: str = ""
     seed: int = Field(default=0, ge=0)
     estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]

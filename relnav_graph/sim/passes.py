@@ -14,7 +14,7 @@ from relnav_graph.core.problem import layout_of
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.sim.contracts import ControlledTruth, DrivenTruth, IntervalInstrument, KnownInput
-from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
+from relnav_graph.sim.instruments.interval_inputs import IntervalInputs, check_samples
 from relnav_graph.sim.sensors import Timing, measure_all, stream
 
 __all__ = [
@@ -84,6 +84,7 @@ def simulate(
             if isinstance(source, KnownInput):
                 series[name] = source.series(name, t0, t1)
                 continue
+            check_samples(name, source, t0, t1)
             edges = source.edges(t0, t1)
             rates = truth_model.mean_rate(edges[:-1], edges[1:])
             rng = stream(seed, run, f"input {name}")

@@ -109,14 +109,15 @@ def do_until(
         count = min(most, count + count // 2)
 
 
-def merge(target: Path, sources: Sequence[Path]) -> StudyFolder:
+def merge(target: Path, sources: Sequence[Path], trust: bool = False) -> StudyFolder:
     """One study of the records of several folders, such as the shards of a batch queue.
 
-    Raises InputError when they are not of one study, or a record is damaged.
+    trust: see :meth:`StudyFolder.open`. Raises InputError when they are not of one study, or a
+    record is damaged.
     """
     if not sources:
         raise InputError("nothing to merge: expected folders of one study")
-    first = StudyFolder.open(sources[0])
+    first = StudyFolder.open(sources[0], trust)
     merged = StudyFolder(target, first.spec, first.rerun)
     for source in sources:
         folder = StudyFolder(source, first.spec) if source != sources[0] else first

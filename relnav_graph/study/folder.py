@@ -7,11 +7,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from relnav_graph.errors import InputError
+from relnav_graph.errors import InputError, ModelError
+from relnav_graph.estimators import GROUP
+from relnav_graph.files import read_file
 from relnav_graph.io.atomic import atomic
+from relnav_graph.io.stored import Count, Label, read_json
+from relnav_graph.registry import find_class
+from relnav_graph.scenario.toml import refuse_modules
 from relnav_graph.scoring.metrics import versions
 from relnav_graph.study.record import RunRecord
 from relnav_graph.study.runs import StudySpec
@@ -19,6 +25,22 @@ from relnav_graph.study.runs import StudySpec
 __all__ = ["StudyFolder"]
 
 _FORMAT, _VERSION = "relnav-graph study", 1
+#: Bytes that a record may have: it comes to some hundred kilobytes.
+_MOST = 64_000_000
+
+
+@dataclass(frozen=True)
+class _Manifest:
+    """``study.json``; rerun: the command that makes one run alone, but for its number."""
+
+    format: str
+    format_version: int
+    versions: dict[str, str]
+    name: Label
+    raw: dict[str, Any]
+    seed: Count
+    estimators: list[str]
+    rerun: str = ""
 
 
 def _difference(path: str, found: Any, expected: Any) -> str | None:
@@ -49,8 +71,8 @@ class StudyFolder:
             **json.loads(spec.to_json()),
         }
         if (path / "study.json").is_file():
-            found = _read_manifest(path)
-            self.rerun = str(found.pop("rerun", rerun))
+            found = asdict(_read_manifest(path))
+            self.rerun = found.pop("rerun") or rerun
             if json.dumps(found) != json.dumps(manifest):
                 text = _difference("", found, manifest) or "the tables are in another order"
                 raise InputError(f"{path}: holds another study: {text}; give another folder")
@@ -61,22 +83,39 @@ class StudyFolder:
             staged.write_text(json.dumps({**manifest, "rerun": rerun}, indent=2) + "\n", "utf-8")
 
     @staticmethod
-    def open(path: Path) -> StudyFolder:
-        """The study that a folder holds. Raises InputError when it holds none, or one that
-        another version made."""
-        found = _read_manifest(path)
-        try:
-            spec = StudySpec(found["name"], found["raw"], found["seed"], tuple(found["estimators"]))
-        except (KeyError, TypeError) as error:
-            raise InputError(f"{path / 'study.json'}: damaged: no {error}") from error
+    def open(path: Path, trust: bool = False) -> StudyFolder:
+        """The study that a folder holds.
+
+        trust: its scenario may name modules, which are code. Raises InputError when the folder
+        holds no study, or one that another version made, or that needs what is not there.
+        """
+        found, file = _read_manifest(path), path / "study.json"
+        if not trust:
+            refuse_modules(str(file), {"estimators": found.estimators, "raw": found.raw})
+        for i, kind in enumerate(found.estimators):
+            try:
+                find_class(GROUP, kind)
+            except ModelError as error:
+                raise InputError(f"{file}: estimators[{i}]: {error}") from error
+        spec = StudySpec(found.name, found.raw, found.seed, tuple(found.estimators))
         return StudyFolder(path, spec)
 
     def _file(self, run: int) -> Path:
         return self.path / "runs" / f"{run:06d}.npz"
 
     def runs(self) -> list[int]:
-        """Numbers of the runs that are done, in order."""
-        return sorted(int(f.stem) for f in (self.path / "runs").glob("[0-9]*.npz"))
+        """Numbers of the runs that are done, in order. Raises InputError on a file beside their
+        records that looks like one, as a copy does."""
+        found = []
+        for file in (self.path / "runs").glob("[!.]*.npz"):
+            number = int(file.stem) if file.stem.isdecimal() and len(file.stem) < 19 else -1
+            if file != self._file(number):
+                raise InputError(
+                    f"{file}: found a name that no record of a run has, expected one such as"
+                    f" {self._file(1).name}; take it out of the folder"
+                )
+            found.append(number)
+        return sorted(found)
 
     def write(self, run: int, content: bytes) -> None:
         """Keep the record of a run. Raises InputError when the disk does not take it."""
@@ -84,8 +123,8 @@ class StudyFolder:
             staged.write_bytes(content)
 
     def read_bytes(self, run: int) -> bytes:
-        """The record of a run as it was written."""
-        return self._file(run).read_bytes()
+        """The record of a run as it was written. Raises InputError when it cannot be read."""
+        return read_file(self._file(run), _MOST)
 
     def records(self, runs: list[int]) -> Iterator[RunRecord]:
         """Records one after the other. Raises InputError on a damaged one."""
@@ -97,17 +136,8 @@ class StudyFolder:
             yield record
 
 
-def _read_manifest(path: Path) -> dict[str, Any]:
+def _read_manifest(path: Path) -> _Manifest:
     file = path / "study.json"
-    try:
-        found = json.loads(file.read_text("utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no study.json in it, so it is no folder of a study") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read: {error}") from error
-    if not isinstance(found, dict) or found.get("format") != _FORMAT:
-        raise InputError(f"{file}: not a manifest of a study")
-    if found.get("format_version") != _VERSION:
-        version = found.get("format_version")
-        raise InputError(f"{file}: found format version {version}, expected {_VERSION}")
-    return found
+    if not file.exists():
+        raise InputError(f"{path}: no study.json in it, so it is no folder of a study")
+    return read_json(file, _Manifest, "a manifest of a study", _FORMAT, _VERSION)

@@ -21,6 +21,7 @@ from relnav_graph.core.contracts import Derived
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Track
 from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.files import check_memory
 from relnav_graph.runs.comparison import Estimated
 from relnav_graph.scoring.bounds import bounds, true_trajectory
 from relnav_graph.scoring.deviations import (
@@ -33,6 +34,7 @@ from relnav_graph.scoring.deviations import (
 )
 from relnav_graph.scoring.metrics import Score, score_of, step_ms, with_smoothed
 from relnav_graph.scoring.variance_components import noise_residuals
+from relnav_graph.study.stored import check_record
 
 __all__ = ["BINS", "RunRecord", "make_record"]
 
@@ -67,11 +69,16 @@ class RunRecord:
     def from_bytes(content: bytes, where: str) -> RunRecord:
         """The inverse of :meth:`to_bytes`. Raises InputError on damaged content."""
         try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-            return RunRecord(json.loads(arrays.pop("scalars").tobytes()), arrays)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                check_memory(where, sum(member.file_size for member in archive.infolist()))
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                series = {name: arrays[name] for name in arrays.files}
+            text = series.pop("scalars").tobytes()
+        except InputError:
+            raise
+        except Exception as error:  # damaged bytes lead zipfile and numpy to all kinds of errors
             raise InputError(f"{where}: not a readable record of a run: {error}") from error
+        return RunRecord(check_record(where, text, series), series)
 
 
 def bin_edges(count: int) -> Indices:

@@ -314,7 +314,7 @@ def test_a_manifest_of_another_version_is_refused(one_pass: Path, tmp_path: Path
         read_contents(tmp_path)
     del found["seed"]
     (tmp_path / "pass.json").write_text(json.dumps(found))
-    with pytest.raises(InputError, match="damaged: no seed"):
+    with pytest.raises(InputError, match="damaged: seed: missing"):
         read_contents(tmp_path)
 
 

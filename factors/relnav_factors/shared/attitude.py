@@ -11,14 +11,12 @@ from relnav_factors.shared.mounting import MountedSensor
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity
 
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-#: How far from one the length of a measured quaternion may be: digits lost in a file, not
-#: a number that is no quaternion.
-UNIT = 1e-3
 
 
 @jit
@@ -40,7 +38,7 @@ def unit_quaternions(where: str, q_wxyz: Array) -> Array:
     """
     lengths = np.linalg.norm(q_wxyz, axis=1, keepdims=True)
     error = np.abs(lengths - 1)
-    if not (error <= UNIT).all():
+    if not (error <= UNIT_QUATERNION).all():
         worst = q_wxyz[error.argmax()]
         raise InputError(
             f"{where}: found {worst} of length {np.linalg.norm(worst):.6g}, expected a unit"

@@ -23,6 +23,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
@@ -50,7 +51,7 @@ class _Topic:
     def rotations(self, first: int) -> Array:
         """The attitudes (N, 3, 3) whose quaternions, scalar first, begin at a column."""
         q_wxyz = np.ascontiguousarray(self.values[:, first : first + 4])
-        bad = np.abs(np.linalg.norm(q_wxyz, axis=1) - 1) > 1e-3
+        bad = np.abs(np.linalg.norm(q_wxyz, axis=1) - 1) > UNIT_QUATERNION
         if bad.any():
             raise InputError(
                 f"{self.path}, at {self.t[bad][0]} s: found the quaternion {q_wxyz[bad][0]},"

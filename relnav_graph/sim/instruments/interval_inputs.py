@@ -13,9 +13,19 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
+from relnav_graph.files import check_memory
 from relnav_graph.sim.contracts import IntervalInstrument, KnownInput
 
-__all__ = ["IntervalInputs"]
+__all__ = ["IntervalInputs", "check_samples"]
+
+#: Bytes that a sample takes while it is drawn: noises, biases, readings, each of three axes.
+_SAMPLE = 240.0
+
+
+def check_samples(name: str, source: Any, t0: float, t1: float) -> None:
+    """Raise InputError when the samples of an input from t0 to t1, s, do not fit in memory."""
+    period = getattr(source, "period", np.inf)
+    check_memory(f"inputs.{name}.period = {period} s", _SAMPLE * (t1 - t0) / period)
 
 
 class IntervalInputs:
@@ -40,6 +50,7 @@ class IntervalInputs:
         self._truths: dict[str, Array] = {}
         t0, t1 = float(times[0]), float(times[-1])
         for name, source in sources.items():
+            check_samples(name, source, t0, t1)
             if isinstance(source, KnownInput):
                 self._steady[name] = source.series(name, t0, t1)
             elif isinstance(source, IntervalInstrument):

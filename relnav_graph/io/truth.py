@@ -1,0 +1,150 @@
+"""Truth tables of a data set: read, and brought to the epochs of the pass."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.state import UNIT_QUATERNION, Block, Layout
+from relnav_graph.core.track import Truth
+from relnav_graph.io.tabular import Table, component_columns, from_components, read_table
+
+__all__ = ["between", "read_truth"]
+
+_LOG = logging.getLogger(__name__)
+
+#: Rows further apart than so many of the table's median steps have a gap between them.
+_GAP = 1.5
+#: Attitudes further apart than that, rad, may have turned either way in between.
+_TURN = 2.0
+
+
+def between(block: Block, t: Array, values: Array, times: Array) -> Array:
+    """Values at `times` (M,), s, between rows at t (N,), s: (N, ...) gives (M, ...).
+
+    The cubic through the two rows before and the two after, in the tangent space of the row
+    before (Lagrange; on SO(3) with two rows this is SLERP); of lower order where a row is
+    missing there. NaN before the first row, after the last, in gaps (more than 1.5 times the
+    median step) and where an attitude turns by more than 2 rad from row to row.
+    """
+    n, out = len(t), np.full((len(times), *values.shape[1:]), np.nan)
+    if n < 2:
+        return out
+    layout, x, step = Layout([block]), values.reshape(n, -1), np.diff(t)
+    size = np.linalg.norm(layout.local(x[:-1], x[1:]), axis=1)
+    near = step <= _GAP * np.median(step)
+    if block.manifold == "SO3":
+        near &= size <= _TURN
+    k = np.searchsorted(t, times, side="right") - 1
+    inside = np.flatnonzero((k >= 0) & (k < n - 1))
+    inside = inside[near[k[inside]]]
+    if not len(inside):
+        return out
+    k, tau = k[inside], times[inside]
+
+    def joined(interval: Indices) -> Any:
+        """Whether an interval beside is there, and not so short that it tells little of the
+        slope and much of the noise."""
+        there = (interval >= 0) & (interval < n - 1)
+        j = np.clip(interval, 0, n - 2)
+        short = step[j] < 0.5 * step[k]
+        turned = (size[j] + size[k] > _TURN) & (block.manifold == "SO3")
+        return there & near[j] & ~short & ~turned
+
+    rows = np.clip(k + np.arange(-1, 3)[:, None], 0, n - 1)  # (4, m)
+    used = np.array([joined(k - 1), k >= 0, k >= 0, joined(k + 1)])
+    d = np.zeros((len(k), layout.dim))
+    for j in range(4):
+        weight = used[j].astype(np.float64)
+        for m in range(4):
+            if m != j:
+                apart = np.where(used[j] & used[m], t[rows[j]] - t[rows[m]], 1.0)
+                weight *= np.where(used[m], (tau - t[rows[m]]) / apart, 1.0)
+        d += weight[:, None] * layout.local(x[k], x[rows[j]])
+    out[inside] = layout.retract(x[k], d).reshape(len(k), *values.shape[1:])
+    return out
+
+
+def _table(folder: Path, block: Block) -> Table | None:
+    table = read_table(folder, f"truth_{block.name}")
+    if table is None:
+        return None
+    columns = component_columns(block)
+    table.require(("t_s", *columns))
+    table.increasing("t_s")
+    if block.manifold == "SO3":
+        norm = np.linalg.norm(table.stack(columns), axis=1)
+        table.refuse(
+            np.abs(norm - 1) > UNIT_QUATERNION, "q_w", "a quaternion of length one within 1e-3"
+        )
+    return table
+
+
+def _missed(block: Block, t: Array, values: Array) -> float:
+    """By how much, in table units (a norm over the axes, rms), every second row is missed when
+    it is left out and interpolated: far more than what lies between all rows is."""
+    found = between(block, t[::2], values[::2], t[1::2])
+    known = np.isfinite(found.reshape(len(found), -1)).all(axis=1)
+    if not known.any():
+        return np.nan
+    d = block.local(found[known], values[1::2][known])
+    return block.table_scale * float(np.sqrt((d**2).sum(axis=1).mean()))
+
+
+def _at_epochs(table: Table, block: Block, t: Array, values: Array, epochs: Array) -> Array:
+    """Values at `epochs` (M,), s: of the row of that time, or between rows; says what is not."""
+    rows, same = Truth(t, {}).at(epochs)
+    found = between(block, t, values, epochs)
+    made = np.isfinite(found.reshape(len(epochs), -1)).all(axis=1) & ~same
+    if len(t):
+        found[same] = values[rows[same]]
+    if not (same | made).any():
+        span = f", t = {t[0]:.9g} to {t[-1]:.9g} s," if len(t) else ""
+        _LOG.warning(
+            f"{table.path}: none of its {len(t)} rows{span} is at an epoch or about one, t ="
+            f" {epochs[0]:.9g} to {epochs[-1]:.9g} s: it scores nothing"
+        )
+    elif not same.all():
+        unknown = int((~(same | made)).sum())
+        _LOG.info(
+            f"{table.path}: of {len(epochs)} epochs {int(made.sum())} lie between its rows and are"
+            f" interpolated (left out, its own rows would be missed by"
+            f" {_missed(block, t, values):.2g} {block.table_unit}), {unknown} lie outside or in"
+            " gaps"
+        )
+    return found
+
+
+def read_truth(
+    folder: Path, blocks: Mapping[str, Block], epochs: Array, source: str
+) -> Truth | None:
+    """Truth of those of `blocks` that have a table ``truth_NAME``, at all their times, and at the
+    `epochs` (M,), s, between them.
+
+    source: where it is from. None without any table. Raises InputError, naming file, line and
+    column, on a table with other columns, times that do not increase, or a quaternion whose
+    length is not one within 1e-3; it is normalised.
+    """
+    found = {}
+    for name, block in blocks.items():
+        table = _table(folder, block)
+        if table is not None:
+            known = from_components(block, table.stack(component_columns(block)))
+            found[name] = table, known
+    if not found:
+        return None
+    own = np.unique(np.concatenate([table["t_s"] for table, _ in found.values()]))
+    lacking = epochs[~Truth(own, {}).at(epochs)[1]]
+    times = np.sort(np.concatenate([own, lacking]))
+    at, _ = Truth(times, {}).at(epochs)
+    values = {}
+    for name, (table, known) in found.items():
+        values[name] = np.full((len(times), *known.shape[1:]), np.nan)
+        values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs)
+        values[name][np.searchsorted(times, table["t_s"])] = known
+    return Truth(times, values, source)
