@@ -79,7 +79,9 @@ def main(argv: list[str] | None = None) -> Any:
         code = _relnav.main(
             argv, prog_name="relnav", standalone_mode=False, obj=shlex.join(["relnav", *given])
         )
-    except click.Abort:
+    except click.Abort as stop:
+        if isinstance(stop.__cause__, EOFError):  # click takes it for a person's Ctrl-D
+            raise stop.__cause__ from None
         click.echo("interrupted", err=True)
         sys.exit(130)
     except click.ClickException as error:
