@@ -74,6 +74,9 @@ def main(argv: list[str] | None = None) -> Any:
     """Run the command line; errors of the input end with exit code 2."""
     from relnav_graph.errors import RelnavError
 
+    # Commands draw into files alone. A backend that a notebook has named for its processes, and
+    # whose package is not here, would end matplotlib's import.
+    os.environ["MPLBACKEND"] = "agg"
     given = sys.argv[1:] if argv is None else argv
     try:
         code = _relnav.main(

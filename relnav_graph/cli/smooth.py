@@ -38,6 +38,9 @@ def command(
     show_events()
     run = open_dataset(dataset, assignments)
     found = compare_pass(run, kinds or ("batch",), show_progress)
-    show_progress(f"writing {out} ...")
-    write_outputs(out, run, found, command_line())
-    return report(found.summary, as_json)
+    try:
+        show_progress(f"writing {out} ...")
+        write_outputs(out, run, found, command_line())
+    finally:  # what was estimated is told even where it could not be written
+        code = report(found.summary, as_json)
+    return code

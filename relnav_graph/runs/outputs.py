@@ -21,9 +21,6 @@ def write_outputs(out: Path, run: Pass, found: Comparison, command: str = "") ->
 
     command: what made them, for the manifest. Raises InputError on a folder that cannot be.
     """
-    # Not before they are drawn: matplotlib takes half a second to import.
-    from relnav_graph.figures import error_figures, save_figures, trajectory_figure
-
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -41,6 +38,10 @@ def write_outputs(out: Path, run: Pass, found: Comparison, command: str = "") ->
         found.summary["versions"],
         command,
     ).write(out)
+    # Only now: matplotlib takes half a second to import, and may be set up in a way that it
+    # cannot be; what was estimated is then in the folder.
+    from relnav_graph.figures import error_figures, save_figures, trajectory_figure
+
     derived = derived_quantities(run.scenario.layout)
     figures = error_figures(found.tracks, run.recording.truth, derived)
     path = trajectory_figure(found.tracks, run.recording.truth, derived)
