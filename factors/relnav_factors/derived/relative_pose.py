@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled import give_way, jit, jit_loop
 from relnav_graph.compiled.contracts import MATRIX, STACK
 from relnav_graph.core.catalogue import (
     BODY_RATE,
@@ -63,6 +63,7 @@ def relative_attitudes(R_oc: Array, R_ot: Array, R_tc: Array, jacobian: Array) -
     R_oc, R_ot, R_tc: (N, 3, 3); jacobian: (N, 3, 6), rad/rad, to (R_oc, R_ot).
     """
     for k in range(R_oc.shape[0]):
+        give_way(k)
         one, slope = relative_attitude(R_oc[k], R_ot[k])
         dense.put_block(R_tc[k], 0, 0, one, 1.0)
         dense.put_block(jacobian[k], 0, 0, slope, 1.0)
@@ -75,6 +76,7 @@ def positions_in_target(R_ot: Array, r_tc_o: Array, r_tc_t: Array, jacobian: Arr
     R_ot: (N, 3, 3); r_tc_o, r_tc_t: (N, 3), m; jacobian: (N, 3, 6) to (R_ot, r_tc_o).
     """
     for k in range(R_ot.shape[0]):
+        give_way(k)
         one, slope = position_in_target(R_ot[k], r_tc_o[k])
         dense.put_vector(r_tc_t[k], 0, one)
         dense.put_block(jacobian[k], 0, 0, slope, 1.0)
