@@ -100,4 +100,9 @@ def main(argv: list[str] | None = None) -> Any:
     except OSError as error:
         click.echo(f"error: {error}", err=True)
         sys.exit(2)
+    except ImportError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # while a library was loading
+            raise
+        click.echo("interrupted", err=True)
+        sys.exit(130)
     sys.exit(code if isinstance(code, int) else 0)

@@ -13,7 +13,7 @@ from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.problem import layout_of
 from relnav_graph.errors import ModelError
-from relnav_graph.registry import find_class
+from relnav_graph.estimators import find_estimator
 from relnav_graph.scenario.priors import check_prior
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.schema import (
@@ -28,7 +28,7 @@ from relnav_graph.scenario.schema import (
 )
 from relnav_graph.scenario.toml import merge, override, read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
-from relnav_graph.sim.contracts import ControlledTruth, Controller, SimulatedTruth
+from relnav_graph.sim.contracts import ControlledTruth, Controller, Instrument, SimulatedTruth
 
 __all__ = [
     "load_scenario",
@@ -39,7 +39,7 @@ __all__ = [
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
     for i, kind in enumerate(file.estimators):
         try:
-            find_class("relnav_graph.estimators", kind)
+            find_estimator(kind)
         except ModelError as error:
             problems.append((f"estimators[{i}]", str(error)))
     for i, name in enumerate(file.data.simulate if file.data is not None else []):
@@ -111,6 +111,7 @@ def make_scenario(
             contract = Dynamics if section == "processes" else Sensor
             if model is not None and not isinstance(model, contract):
                 problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
+                model = None
             found[key] = model
     truth, inputs = _make_truth(merged, orbit, problems)
     control = _make_control(merged, orbit, truth, problems)
@@ -149,11 +150,15 @@ def _make_truth(
         own = shared_orbit(TRUTHS, raw["truth"], orbit)
         truth = make_kind(TRUTHS, "truth", own, problems)
         if truth is not None and not isinstance(truth, SimulatedTruth):
-            problems.append(("truth.kind", f"{own['kind']!r} is an input, expected a truth"))
+            problems.append(("truth.kind", f"found {own['kind']!r}, expected a truth"))
+            truth = None
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():
         if isinstance(table, Mapping):
-            inputs[key] = make_kind(TRUTHS, f"inputs.{key}", table, problems)
+            inputs[key] = made = make_kind(TRUTHS, f"inputs.{key}", table, problems)
+            if made is not None and not isinstance(made, Instrument):
+                found = f"found {table['kind']!r}, expected an instrument"
+                problems.append((f"inputs.{key}.kind", found))
     return truth, inputs
 
 

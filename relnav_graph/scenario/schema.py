@@ -220,6 +220,8 @@ def _make(path: str, cls: type[Any], table: Mapping[str, Any], problems: Problem
         problems += from_pydantic(path, error)
     except (InputError, ModelError) as error:
         problems.append((path, str(error)))
+    except Exception as error:  # of the class itself, which need not be one of ours
+        problems.append((path, f"{cls.__name__} cannot be made: {type(error).__name__}: {error}"))
     return None
 
 
@@ -232,6 +234,9 @@ def make_kind(group: str, path: str, table: Mapping[str, Any], problems: Problem
         cls = find_class(group, kind)
     except ModelError as error:
         problems.append((f"{path}.kind", str(error)))
+        return None
+    if not dataclasses.is_dataclass(cls):
+        problems.append((f"{path}.kind", f"{kind!r} is not a dataclass, expected one"))
         return None
     rest = {key: value for key, value in table.items() if key != "kind"}
     return _make(path, cls, rest, problems)
@@ -246,10 +251,12 @@ def shared_orbit(
         cls = find_class(group, str(table.get("kind")))
     except ModelError:
         return out
+    if not dataclasses.is_dataclass(cls) or not isinstance(orbit, Mapping):
+        return out  # reported elsewhere
     names = {f.name for f in dataclasses.fields(cls)}
-    if orbit is not None and "orbit" in names:
+    if "orbit" in names:
         out.setdefault("orbit", dict(orbit))
-    elif orbit is not None and "semi_major_axis" in names:
+    elif "semi_major_axis" in names:
         out = {**orbit, **out}
     return out
 

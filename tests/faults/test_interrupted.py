@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import relnav_factors
 from passes import ZHANG, relnav
 
-import relnav_factors
 import relnav_graph
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
 
