@@ -100,6 +100,9 @@ def main(argv: list[str] | None = None) -> Any:
     except OSError as error:
         click.echo(f"error: {error}", err=True)
         sys.exit(2)
+    except MemoryError as error:
+        click.echo(f"error: not enough memory: {error or 'none left'}", err=True)
+        sys.exit(2)
     except ImportError as error:
         if not isinstance(error.__cause__, KeyboardInterrupt):  # while a library was loading
             raise

@@ -12,8 +12,10 @@ from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.problem import layout_of
-from relnav_graph.errors import ModelError
+from relnav_graph.core.state import Layout
+from relnav_graph.errors import InputError, ModelError
 from relnav_graph.estimators import find_estimator
+from relnav_graph.memory import check_room
 from relnav_graph.scenario.priors import check_prior
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.schema import (
@@ -63,6 +65,27 @@ def _check_inputs(
             if needed not in inputs:
                 message = f"missing: processes.{name} ({process.kind}) needs this input"
                 problems.append((f"inputs.{needed}", message))
+
+
+def _check_room(
+    file: ScenarioFile, inputs: Mapping[str, Any], layout: Layout, problems: Problems
+) -> None:
+    """A simulated pass must fit into memory: of each epoch at least its estimate (with some
+    hundred numbers of bookkeeping), of each sample of an input some twenty."""
+    if file.time is None or file.truth is None:
+        return
+    step, epochs = file.time.step, file.time.epochs
+    asked = [("time.epochs", f"{epochs} epochs", epochs * (layout.dim**2 + 100.0))]
+    for name, source in inputs.items():
+        if isinstance(period := getattr(source, "period", None), float):
+            samples = step * epochs / period
+            what = f"a period of {period} s, {samples:.3g} samples"
+            asked.append((f"inputs.{name}.period", what, 20 * samples))
+    for path, found, numbers in asked:
+        try:
+            check_room(found, numbers)
+        except InputError as error:
+            problems.append((path, str(error)))
 
 
 def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile | None:
@@ -130,6 +153,7 @@ def make_scenario(
     if file is not None and layout is not None:
         check_prior(layout, file, problems)
         _check_inputs(made["processes"], file, inputs, problems)
+        _check_room(file, inputs, layout, problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
     compile_ahead(

@@ -48,10 +48,9 @@ def _rotate(
     length = duration(u)
     steps = step_count(length, p[6])
     h = length / steps
-    n = x.shape[0] - 6  # of the tangent
+    n, angle = x.shape[0] - 6, np.empty(3)  # n: of the tangent
     R_ot, w, k = dense.matrix_at(x, 0), dense.vector_at(x, 9), x[12:]
     total, noise, step = dense.identity(n), np.zeros((n, n)), dense.identity(n)
-    angle = np.empty(3)
     for done in range(steps):
         give_way(done)
         before = start_of(w, n - 3)

@@ -17,6 +17,7 @@ from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import check_inertia
+from relnav_graph.memory import check_room
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
 from relnav_graph.units import Quantity, check_fields
 
@@ -120,7 +121,9 @@ class RigidBodyPair(OrbitElements):
         t = checked_times(times)
         spans = np.diff(t, prepend=0.0)
         # The margin keeps a span of 10 s, rounded up, from taking one step more.
-        counts = np.ceil(spans / self.max_step * (1 - 1e-12)).astype(np.int64)
+        steps = np.ceil(spans / self.max_step * (1 - 1e-12))
+        check_room(f"truth.max_step {self.max_step} s, {steps.sum():.3g} steps", 6 * steps.sum())
+        counts = steps.astype(np.int64)
         h = spans / np.maximum(counts, 1)
         density = np.repeat([self.torque_density, self.acceleration_density], 3)
         # Always six numbers a step: one noise switched on leaves the other as it was.
