@@ -78,6 +78,12 @@ def main(argv: list[str] | None = None) -> Any:
     # whose package is not here, would end matplotlib's import.
     os.environ["MPLBACKEND"] = "agg"
     given = sys.argv[1:] if argv is None else argv
+    for argument in given:  # names and the command itself stand in what a run leaves
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            click.echo(f"error: found {os.fsencode(argument)!r}, expected UTF-8", err=True)
+            sys.exit(2)
     try:
         code = _relnav.main(
             argv, prog_name="relnav", standalone_mode=False, obj=shlex.join(["relnav", *given])

@@ -5,6 +5,7 @@ Filter and smoothers receive the same `Problem`: that is the fairness argument.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -21,7 +22,24 @@ from relnav_graph.maths.losses import Loss
 __all__ = [
     "Prior",
     "Problem",
+    "check_name",
 ]
+
+#: Of a sensor, an input, a process. It is also that of a table's file, a key in lines of JSON, a
+#: label in figures, a column of results: letters of any language, and nothing to be escaped.
+_NAME = re.compile(r"\w[\w.+-]{0,47}")
+
+
+def check_name(what: str, name: str) -> None:
+    """Raise InputError unless a sensor, an input or a process may bear a name.
+
+    what: of whom, for the message.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"found {name[:60]!r} as the name of {what}, expected letters, digits, _ and, not"
+            " first, . + -; 48 at most"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +100,9 @@ class Problem:
     def __post_init__(self) -> None:
         for name in ("processes", "sensors", "gates", "losses"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for what, named in (("a process", self.processes), ("a sensor", self.sensors)):
+            for name in named:
+                check_name(what, name)
         for name in ("gates", "losses"):
             for sensor in getattr(self, name):
                 if sensor not in self.sensors:

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
+from relnav_graph.core.problem import check_name
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
@@ -227,6 +227,8 @@ def read_dataset(
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
+    for name in (*sensors, *inputs):
+        check_name("a table", name)
     manifest = _manifest(folder)
     tables = {name: _need_table(folder, name) for name in sensors}
     measurements = [m for n, s in sensors.items() for m in _measurements(tables[n], n, s)]
@@ -281,6 +283,8 @@ def _tables(
         if m.sensor not in sensors:
             raise InputError(f"t = {m.t} s: unknown sensor {m.sensor!r}; known: {list(sensors)}")
     tables: list[tuple[str, Columns]] = [("epochs", {"t_s": recording.times})]
+    for name in (*sensors, *recording.inputs):
+        check_name("a table", name)
     for name, sensor in sensors.items():
         tables.append((name, _sensor_columns(name, sensor, recording.measurements)))
     for name, series in recording.inputs.items():
@@ -294,8 +298,8 @@ def _tables(
             tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
     names = [name for name, _ in tables]
     for name in names:
-        if names.count(name) > 1 or not re.fullmatch(r"\w[\w.+-]*", name):
-            raise InputError(f"{name!r} cannot name a table: taken twice, or no name of a file")
+        if names.count(name) > 1:
+            raise InputError(f"{name!r} cannot name a table: taken twice")
     return dict(tables)
 
 

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
-from relnav_graph.core.problem import layout_of
+from relnav_graph.core.problem import check_name, layout_of
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.estimators import find_estimator
@@ -28,7 +28,7 @@ from relnav_graph.scenario.schema import (
     make_kind,
     shared_orbit,
 )
-from relnav_graph.scenario.toml import merge, override, read_toml
+from relnav_graph.scenario.toml import merge, override, read_toml, strange_values, text_trouble
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 from relnav_graph.sim.contracts import ControlledTruth, Controller, Instrument, SimulatedTruth
 
@@ -51,6 +51,27 @@ def _check_choices(file: ScenarioFile, problems: Problems) -> None:
     low, high = file.evaluate or (0.0, 1.0)
     if isinstance(low, float) and isinstance(high, float) and not low < high:
         problems.append(("evaluate", f"found {file.evaluate}, expected the earlier end first"))
+
+
+def _check_names(
+    file: ScenarioFile, processes: Mapping[str, Dynamics | None], problems: Problems
+) -> None:
+    """Names are names, and each table of a data set has its own."""
+    inputs = [name for p in processes.values() if p is not None for name in p.inputs]
+    for section, names in (
+        ("processes", file.processes),
+        ("inputs", file.inputs),
+        ("sensors", file.sensors),
+    ):
+        for name in names:
+            try:
+                check_name(f"one of {section}", name)
+            except InputError as error:
+                problems.append((section, str(error)))
+    for name in file.sensors:
+        if name in inputs or name == "epochs" or name.startswith("truth_"):
+            message = "the name is that of another table of a data set; choose another"
+            problems.append((f"sensors.{name}", message))
 
 
 def _check_inputs(
@@ -103,11 +124,15 @@ def make_scenario(
 
     Raises ScenarioError with everything that is wrong.
     """
+    problems: Problems = strange_values(settings or {}) + strange_values(raw)
+    if trouble := text_trouble(name):
+        problems.append(("", f"the name: {trouble}"))
+    if problems:  # nor could they be written into what a run leaves
+        raise ScenarioError(ascii(name) if trouble else name, problems)
     sections = {"processes", "sensors"}
     # Before the data are read, what they will bring may be missing, and nothing else.
     waiting = settings is None and "data" in raw
     merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
-    problems: Problems = []
     file: ScenarioFile | None
     try:
         file = ScenarioFile.model_validate(merged)
@@ -143,6 +168,7 @@ def make_scenario(
         made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
     if file is not None:
         _check_choices(file, problems)
+        _check_names(file, made["processes"], problems)
     layout = None
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}

@@ -50,6 +50,8 @@ def _checked_bound(value: float | str) -> float | str:
     return value
 
 
+#: Characters of a message.
+_LONGEST = 1000
 MISSING = "missing, and required"
 Seconds = Annotated[float, Quantity("s", positive=True)]
 Bound = Annotated[float | str, AfterValidator(_checked_bound)]
@@ -60,7 +62,8 @@ class ScenarioError(InputError):
     """Everything that is wrong in a scenario; `problems` holds (path, message) pairs."""
 
     def __init__(self, source: str, problems: Problems) -> None:
-        self.problems = problems
+        # Some quote what was found: a value may be megabytes long.
+        self.problems = problems = [(path, message[:_LONGEST]) for path, message in problems]
         if [path for path, _ in problems] == [""]:  # of the file as a whole: one line
             super().__init__(f"{source}: {problems[0][1]}")
             return
