@@ -85,7 +85,8 @@ class Problem:
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
     fixed-lag smoother and for late data online, s, None for a number of epochs. Without
     epochs it is one to be driven online: they come later. Raises ModelError when a block is
-    advanced by no process or by two, InputError when times do not increase or a sensor is unknown.
+    advanced by no process or by two, InputError when times do not increase, a sensor is unknown
+    or a name is none (`check_name`).
     """
 
     processes: Mapping[str, Dynamics]

@@ -163,6 +163,9 @@ class ScenarioFile(BaseModel):
 
     evaluate: the part of the pass that is scored, each end a fraction of it or a time
     with its unit.
+
+    Names of sensors, inputs and processes have letters, digits, `_` and, not first, `. + -`;
+    48 at most: they are those of tables, too.
     """
 
     model_config = _STRICT

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import os
 import signal
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -43,6 +45,26 @@ def test_row_46_every_estimator_is_stopped_within_a_second(kind: str, capsys: Ca
         late = since()
     assert (code, err.splitlines()[-1]) == (130, "interrupted")
     assert 0 <= late < 1
+
+
+def test_row_46_a_stream_is_stopped_within_a_second(tmp_path: Path, capsys: Capture) -> None:
+    """Within an update that takes minutes, too; the journal is whole."""
+    given = (ZHANG, "--set", "time.epochs=5")
+    code, lines, _ = relnav(capsys, "simulate", *given, "-o", "-")
+    assert code == 0
+    (tmp_path / "lines").write_text(lines, "utf-8")
+    stream = ("stream", *given, "-e", "ekf", "--from", tmp_path / "lines")
+    assert relnav(capsys, *stream, "-o", tmp_path / "whole")[0] == 0  # compiled
+    slow = ("--set", 'processes.target.max_step="1e-7 s"', "--journal", tmp_path / "journal")
+    command = f"sleep 3; kill -INT {os.getpid()}; date +%s.%N"
+    with subprocess.Popen(["sh", "-c", command], stdout=subprocess.PIPE, text=True) as killer:
+        code, _, err = relnav(capsys, *stream, *slow, "-o", tmp_path / "out")
+        now = time.time()
+        struck_at = float(killer.communicate()[0])
+    assert (code, err.splitlines()[-1]) == (130, "ended by SIGINT; the journal is whole"), err
+    assert now - struck_at < 1.5
+    whole, cut = ((tmp_path / name).read_text().splitlines() for name in ("whole", "out"))
+    assert len(cut) < len(whole) == 5
 
 
 def test_row_46_a_truth_is_stopped_within_a_second() -> None:
