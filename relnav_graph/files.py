@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import stat
+from contextlib import suppress
 from pathlib import Path
 
 from relnav_graph.errors import InputError
 
 __all__ = ["check_memory", "check_name", "printable", "read_file"]
 
-_NAME = re.compile(r"\w[\w.+-]{0,199}")
+#: Where Linux says how much memory a container may use.
+_CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+_NAME = re.compile(r"\w[\w.+-]*")
 _KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a pipe",
@@ -21,26 +25,40 @@ _KINDS = {
 }
 
 
+def _memory() -> float:
+    """Bytes of memory that this process may use."""
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    limits += [] if soft == resource.RLIM_INFINITY else [soft]
+    for path in _CGROUPS:
+        with suppress(OSError, ValueError):
+            limits.append(int(Path(path).read_text("ascii")))
+    return float(min(limits))
+
+
 def check_memory(what: str, size: float) -> None:
     """Raise InputError when `size` bytes, of `what`, are more than half of this machine's memory.
 
     To be asked before they are taken: a system that overcommits gives them, and kills later.
     """
-    limit = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
-    if not size <= limit:
+    there = _memory()
+    if not size <= there / 2:
         raise InputError(
             f"{what}: would take {size / 2**30:.3g} GiB of memory, expected at most"
-            f" {limit / 2**30:.3g} GiB, half of what this machine has"
+            f" {there / 2**31:.3g} GiB, half of what there is"
         )
 
 
-def check_name(where: str, name: str) -> None:
-    """Raise InputError unless `name` can name a table: letters, digits, _, then also dots, + and
-    -, so that its file cannot lie outside its folder."""
-    if not _NAME.fullmatch(name):
+def check_name(what: str, name: str, longest: int = 48) -> None:
+    """Raise InputError unless a sensor, an input, a process or a table may bear a name.
+
+    what: of whom, for the message; longest: characters it may have. It is also that of a file,
+    which cannot lie outside its folder then, a key in lines of JSON, a label in figures.
+    """
+    if not (_NAME.fullmatch(name) and len(name) <= longest):
         raise InputError(
-            f"{where}: {name!r} cannot name a table: expected letters, digits, '_', and after the"
-            " first also '.', '+', '-'"
+            f"found {name[:60]!r} as the name of {what}, expected letters, digits, _ and, not"
+            f" first, . + -; {longest} at most"
         )
 
 

@@ -93,9 +93,10 @@ def find_class(group: str, kind: str) -> type[Any]:
         module, _, name = kind.partition(":")
         try:
             cls = getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError, TypeError, ValueError) as error:
-            raise ModelError(f"found kind {kind!r}: {error}") from error
-        if not isinstance(cls, type) or not hasattr(cls, "kind"):
+        except (Exception, SystemExit) as error:  # it is a stranger's code, and may do anything
+            reason = f"{type(error).__name__}: {error}"
+            raise ModelError(f"found kind {kind!r}, which cannot be imported: {reason}") from error
+        if not isinstance(cls, type) or not isinstance(getattr(cls, "kind", None), str):
             raise ModelError(f"found kind {kind!r}, expected a class with a kind")
         return cls
     known = classes(group)

@@ -44,6 +44,8 @@ _UNITS: dict[str, tuple[float, dict[str, float]]] = {
     "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
     "g0": (9.80665, {"m": 1, "s": -2}),
 }
+#: No quantity of physics needs a higher one.
+_HIGHEST_POWER = 12
 _TERM = re.compile(r"([*/]?)\s*(?:sqrt\((\w+)\)|(\w+))(?:\^(-?\d+(?:\.\d+)?))?\s*")
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
 
@@ -56,14 +58,18 @@ def _parse_unit(unit: str) -> tuple[float, tuple[tuple[str, float], ...]]:
         match = _TERM.match(text, position)
         symbol = match and (match[2] or match[3])
         if not match or symbol not in _UNITS or (position > 0) != bool(match[1]):
-            raise InputError(f"unit {unit!r}: cannot read {text[position:]!r}")
+            raise InputError(f"unit {unit[:60]!r}: cannot read {text[position:][:60]!r}")
         power = (0.5 if match[2] else 1.0) * float(match[4] or 1)
         power = -power if match[1] == "/" else power
+        if not abs(power) <= _HIGHEST_POWER:
+            raise InputError(f"unit {unit[:60]!r}: found a power of {power:g}")
         factor, base = _UNITS[symbol]
         scale *= factor**power
         for name, exponent in base.items():
             exponents[name] = exponents.get(name, 0) + exponent * power
         position = match.end()
+    if not 0 < scale < math.inf:
+        raise InputError(f"unit {unit[:60]!r}: found a scale of {scale:g}")
     return scale, tuple(sorted((n, e) for n, e in exponents.items() if e))
 
 
@@ -112,7 +118,10 @@ def parse_quantity(value: Any, si: str) -> float:
     elif isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
         raise InputError(f"found {value!r}, expected a number or a string with a unit like {si!r}")
     else:
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
     if not math.isfinite(number):
         raise InputError(f"found {value!r}, expected a finite number")
     return number
@@ -148,7 +157,7 @@ class Quantity:
         """
         try:
             array = np.array(value, dtype=np.float64, order="C")
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"found {value!r}, expected numbers in {self.unit}") from error
         if self.fill and array.ndim == 0:
             array = np.full([n or 1 for n in self.shape], array)

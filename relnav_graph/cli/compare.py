@@ -47,7 +47,10 @@ def command(
     show_events()
     opened = open_pass(scenario, seed, data, assignments, number, loops=True)
     found = compare_pass(opened, kinds, show_progress)
-    if out is not None:
-        show_progress(f"writing {out} ...")
-        write_outputs(out, opened, found, command_line())
-    return report(found.summary, as_json)
+    try:
+        if out is not None:
+            show_progress(f"writing {out} ...")
+            write_outputs(out, opened, found, command_line())
+    finally:  # what was estimated is told even where it could not be written
+        code = report(found.summary, as_json)
+    return code

@@ -28,13 +28,13 @@ def command(
     trust: bool,
     parquet: bool,
 ) -> None:
-    r"""Convert IN to OUT.
+    """Convert IN to OUT.
 
     \b
     results.nc        -> folder of CSV tables, one per estimator
     data set          -> data set (CSV or, with --parquet, Parquet tables)
     raw data folder   -> data set, by the reader that --scenario names
-    """
+    """  # noqa: D301  click wants the character itself
     if source.is_file():
         tracks, _, _ = read_results(source)
         write_csv(target, tracks)

@@ -74,12 +74,23 @@ def main(argv: list[str] | None = None) -> Any:
     """Run the command line; errors of the input end with exit code 2."""
     from relnav_graph.errors import RelnavError
 
+    # Commands draw into files alone. A backend that a notebook has named for its processes, and
+    # whose package is not here, would end matplotlib's import.
+    os.environ["MPLBACKEND"] = "agg"
     given = sys.argv[1:] if argv is None else argv
+    for argument in given:  # names and the command itself stand in what a run leaves
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            click.echo(f"error: found {os.fsencode(argument)!r}, expected UTF-8", err=True)
+            sys.exit(2)
     try:
         code = _relnav.main(
             argv, prog_name="relnav", standalone_mode=False, obj=shlex.join(["relnav", *given])
         )
-    except click.Abort:
+    except click.Abort as stop:
+        if isinstance(stop.__cause__, EOFError):  # click takes it for a person's Ctrl-D
+            raise stop.__cause__ from None
         click.echo("interrupted", err=True)
         sys.exit(130)
     except click.ClickException as error:
@@ -95,4 +106,12 @@ def main(argv: list[str] | None = None) -> Any:
     except OSError as error:
         click.echo(f"error: {error}", err=True)
         sys.exit(2)
+    except MemoryError as error:
+        click.echo(f"error: not enough memory: {error or 'none left'}", err=True)
+        sys.exit(2)
+    except ImportError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # while a library was loading
+            raise
+        click.echo("interrupted", err=True)
+        sys.exit(130)
     sys.exit(code if isinstance(code, int) else 0)

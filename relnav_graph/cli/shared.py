@@ -11,9 +11,8 @@ from typing import Any
 import click
 
 from relnav_graph.errors import InputError
-from relnav_graph.estimators import GROUP
+from relnav_graph.estimators import find_estimator
 from relnav_graph.files import printable
-from relnav_graph.registry import find_class
 from relnav_graph.scoring.text import table as comparison_table
 
 __all__ = ["check_before_work", "command_line", "report", "show_events", "show_progress"]
@@ -50,7 +49,7 @@ def check_before_work(kinds: Sequence[str], out: Path | None) -> None:
     Raises ModelError or InputError.
     """
     for kind in kinds:
-        find_class(GROUP, kind)
+        find_estimator(kind)
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"-o {out}: is a file, expected a folder")
 

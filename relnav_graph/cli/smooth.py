@@ -40,6 +40,9 @@ def command(
     show_events()
     opened = open_dataset(dataset, assignments, trust)
     found = compare_pass(opened, kinds or ("batch",), show_progress)
-    show_progress(f"writing {out} ...")
-    write_outputs(out, opened, found, command_line())
-    return report(found.summary, as_json)
+    try:
+        show_progress(f"writing {out} ...")
+        write_outputs(out, opened, found, command_line())
+    finally:  # what was estimated is told even where it could not be written
+        code = report(found.summary, as_json)
+    return code

@@ -137,7 +137,7 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> int:
-    r"""Make many runs of SCENARIO, each with its own noise, the same for all estimators.
+    """Make many runs of SCENARIO, each with its own noise, the same for all estimators.
 
     Gives RMSE with intervals, consistency with bands, the bound, and a verdict. A study
     that was interrupted goes on when the same command is given again. The numbers do not
@@ -146,7 +146,7 @@ def command(
     \b
     relnav study SCENARIO --runs 200 -o OUT --shard 1/4     one of four jobs of a queue
     relnav study --merge OUT1 OUT2 OUT3 OUT4 -o OUT         all of them together
-    """
+    """  # noqa: D301  click wants the character itself
     show_events()
     if merging:
         if out is None:

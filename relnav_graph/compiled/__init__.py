@@ -1,6 +1,7 @@
 """Machine code with numba: compiled once, called from everywhere, kept on disk.
 
-`jit` compiles kernels and what they call, `jit_loop` the loops over a whole pass.
+`jit` compiles kernels and what they call, `jit_loop` the loops over a whole pass, which call
+`give_way` in each turn, so that Ctrl-C ends them.
 `contracts` has the signatures of kernels, `symbols` and `cache` how functions call one another
 and where they are kept, `helpers` the first compilation on several cores.
 """
@@ -13,9 +14,10 @@ from typing import Any, TypeVar, overload
 
 from numba import types
 
+from relnav_graph.compiled.signals import give_way
 from relnav_graph.compiled.symbols import Vectorize, compiled_once
 
-__all__ = ["jit", "jit_loop", "loops_so_far", "prepare"]
+__all__ = ["give_way", "jit", "jit_loop", "loops_so_far", "prepare"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -49,8 +51,8 @@ def jit_loop(
 
     For the generic loops, which take a kernel by its address, so that one compiled loop
     serves every kernel. Calls skip numba's dispatch: arrays must be of the type and layout
-    declared. ahead: whether helpers compile it (`helpers.compile_ahead`): not what a program
-    calls first.
+    declared. A loop over epochs calls `give_way` in each turn. ahead: whether helpers compile
+    it (`helpers.compile_ahead`): not what a program calls first.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from relnav_graph.compiled import loops_so_far, prepare
-from relnav_graph.compiled.cache import cache_folder, is_empty
+from relnav_graph.compiled.cache import cache_folder, is_empty, why_not_kept
 from relnav_graph.compiled.contracts import dynamics_address, sensor_address
 from relnav_graph.compiled.symbols import meanwhile
 
@@ -52,6 +52,14 @@ def compile_ahead(sensors: Iterable[Any], processes: Iterable[Any]) -> None:
     sources = {_function(kernel).__code__.co_filename for kernel, _ in named}
     folders = [folder for folder in map(cache_folder, sorted(sources)) if is_empty(folder)]
     if not folders:
+        return
+    why = why_not_kept(folders[0])
+    if why:  # nor could helpers hand over what they make
+        _LOG.info(
+            "compiling the models, for this run only: %s; RELNAV_CACHE_DIR can name a folder"
+            " that keeps them",
+            why,
+        )
         return
     _LOG.info("compiling the models, once; later runs take them from %s", folders[0])
     # This process simulates first, then asks for the kernels, one by one: the helpers begin

@@ -26,7 +26,8 @@ from numba.core import sigutils
 from numba.core.compiler import Flags
 from numba.core.compiler_lock import global_compiler_lock
 
-from relnav_graph.compiled.cache import busy, cache_folder, holds_a_lock, locked
+from relnav_graph.compiled.cache import busy, cache_folder, disk_cache, holds_a_lock, locked
+from relnav_graph.errors import InputError
 
 __all__ = ["Vectorize", "compiled_once", "meanwhile"]
 
@@ -154,14 +155,8 @@ def _dispatcher(function: F, folder: Path, wrapped: bool, vectorize: str) -> Any
     """numba's for a function; wrapped: with what Python calls it through."""
     options: dict[str, Any] = {"error_model": "numpy"}
     options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": not wrapped}
-    configured = numba.config.CACHE_DIR  # numba has one global folder only; put it back
-    numba.config.CACHE_DIR = str(folder)
-    try:
-        compiled = numba.njit(cache=True, **options)(function)
-    except (OSError, RuntimeError):  # nowhere to write the cache: compile in memory
-        compiled = numba.njit(**options)(function)
-    finally:
-        numba.config.CACHE_DIR = configured
+    compiled = numba.njit(**options)(function)
+    compiled._cache = disk_cache(function, folder) or compiled._cache
     compiled._compiler._customize_flags = _Flags
     template = compiled.get_call_template
 
@@ -199,8 +194,11 @@ def compiled_once(function: F, from_python: bool = False, vectorize: Vectorize =
     """A function that numba compiles when it is first called, and keeps on disk.
 
     from_python, vectorize: see `relnav_graph.compiled.jit`. Without `from_python`, Python's
-    first call has the function compiled once more, with the wrapper for it.
+    first call has the function compiled once more, with the wrapper for it. Raises InputError
+    where numba is told to compile nothing: loops call kernels by the address of machine code.
     """
+    if numba.config.DISABLE_JIT:
+        raise InputError("NUMBA_DISABLE_JIT is set, and nothing works uncompiled here; unset it")
     folder = cache_folder(function.__code__.co_filename)
     compiled = _dispatcher(function, folder, from_python, vectorize)
     if not from_python:

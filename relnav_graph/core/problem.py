@@ -23,6 +23,7 @@ from relnav_graph.core.epochs import Epoch, bridged, check_epoch
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError, ModelError
+from relnav_graph.files import check_name
 from relnav_graph.maths.losses import Loss
 
 __all__ = [
@@ -75,8 +76,8 @@ class Problem:
     fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
     gaps in inputs are bridged, by input, where they come online. Without epochs it is one to be
     driven online: they come later. Raises ModelError when a block is advanced by no process or
-    by two, InputError when times do not increase, a sensor is unknown or two models have
-    different orbits.
+    by two, InputError when times do not increase, a sensor is unknown, two models have different
+    orbits or a name is none (`relnav_graph.files.check_name`).
     """
 
     processes: Mapping[str, Dynamics]
@@ -92,6 +93,9 @@ class Problem:
     def __post_init__(self) -> None:
         for name in ("processes", "sensors", "gates", "losses", "bridges"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for what, named in (("a process", self.processes), ("a sensor", self.sensors)):
+            for name in named:
+                check_name(what, name)
         for name in ("gates", "losses"):
             for sensor in getattr(self, name):
                 if sensor not in self.sensors:

@@ -16,7 +16,7 @@ from relnav_graph.estimators.online.monitor import caution
 from relnav_graph.estimators.source import Source
 from relnav_graph.registry import find_class
 
-__all__ = ["GROUP", "Estimator", "diverged", "run_estimator", "try_estimator"]
+__all__ = ["GROUP", "Estimator", "diverged", "find_estimator", "run_estimator", "try_estimator"]
 
 GROUP = "relnav_graph.estimators"
 
@@ -48,6 +48,14 @@ class ServesOnline(Protocol):
         """What makes a state of the state before and an epoch."""
 
 
+def find_estimator(kind: str) -> type[Estimator]:
+    """The class of a kind, or of ``"module:Class"``. Raises ModelError when it is none."""
+    cls: type[Estimator] = find_class(GROUP, kind)
+    if not callable(getattr(cls, "run", None)):
+        raise ModelError(f"found kind {kind!r}, expected an estimator, with run(problem)")
+    return cls
+
+
 def run_estimator(kind: str, problem: Problem) -> Track:
     """Run an estimator of a kind, or of ``"module:Class"``, on one thread.
 
@@ -56,7 +64,7 @@ def run_estimator(kind: str, problem: Problem) -> Track:
     """
     if not problem.epochs:
         raise InputError("epochs: found none, expected one or more")
-    estimator: Estimator = find_class(GROUP, kind)()
+    estimator = find_estimator(kind)()
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
         track = estimator.run(problem)

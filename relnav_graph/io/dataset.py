@@ -59,6 +59,8 @@ __all__ = [
 Columns = Mapping[str, NDArray[Any]]
 
 _FORMAT = 1
+#: Characters of a table's name: that of a block or sensor, and what it is of.
+_LONGEST = 200
 
 
 def _need_table(folder: Path, stem: str) -> Table:
@@ -132,7 +134,7 @@ def _manifest(folder: Path) -> dict[str, Any]:
     if digests.pop("settings", None) != _digest(tomli_w.dumps(settings).encode()):
         raise InputError(f"{path}: [settings] changed since it was written")
     for name, digest in digests.items():
-        check_name(f"{path}, [sha256]", name)
+        check_name(f"a table in {path}, [sha256]", name, _LONGEST)
         if not (folder / name).exists():
             raise InputError(f"{folder / name}: missing, though dataset.toml lists it")
         if _digest(read_file(folder / name)) != digest:
@@ -200,6 +202,8 @@ def read_dataset(
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
+    for name in (*sensors, *inputs):
+        check_name("a table", name, _LONGEST)
     manifest = _manifest(folder)
     tables = {name: _need_table(folder, name) for name in sensors}
     measurements = [m for n, s in sensors.items() for m in _measurements(tables[n], n, s)]
@@ -252,6 +256,8 @@ def _tables(
         if m.sensor not in sensors:
             raise InputError(f"t = {m.t} s: unknown sensor {m.sensor!r}; known: {list(sensors)}")
     tables: list[tuple[str, Columns]] = [("epochs", {"t_s": recording.times})]
+    for name in (*sensors, *recording.inputs):
+        check_name("a table", name, _LONGEST)
     for name, sensor in sensors.items():
         tables.append((name, _sensor_columns(name, sensor, recording.measurements)))
     for name, series in recording.inputs.items():
@@ -265,7 +271,6 @@ def _tables(
             tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
     names = [name for name, _ in tables]
     for name in names:
-        check_name("tables", name)
         if names.count(name) > 1:
             raise InputError(f"{name!r} cannot name a table: taken twice")
     return dict(tables)

@@ -230,7 +230,7 @@ def read_table(folder: Path, stem: str) -> Table | None:
     Raises InputError, naming file, line and column, on a file that is no table of numbers, and
     on a name that is a path.
     """
-    check_name(str(folder), stem)
+    check_name(f"a table in {folder}", stem, 200)
     found = [p for p in (folder / f"{stem}.csv", folder / f"{stem}.parquet") if p.exists()]
     if len(found) > 1:
         raise InputError(f"{folder}: found both {found[0].name} and {found[1].name}")

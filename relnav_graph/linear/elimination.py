@@ -23,7 +23,7 @@ import numpy as np
 from numba import types
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled import give_way, jit, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK, VECTOR
 from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Layout
@@ -129,6 +129,7 @@ def _sweep(
     # Columns of a: this epoch, the right-hand side, the next epoch.
     squares = _put_rows(a, 0, prior_e, prior_A)
     for k in range(count):
+        give_way(0)
         first, last = epoch_offsets[k], epoch_offsets[k + 1]
         m = row_offsets[k + 1] - row_offsets[k]
         r, H = r_all[:m], H_all[:m]
@@ -185,6 +186,7 @@ def _back_substitute(R: Array, S: Array, d: Array, end: Array, known: int, out: 
     """
     count, n = d.shape
     for k in range(count - 1, -1, -1):
+        give_way(k)
         for i in range(n - 1, -1, -1):
             value = d[k, i]
             if k < count - 1:
@@ -209,6 +211,7 @@ def _covariances(R: Array, S: Array, P: Array, known: int) -> None:
     if not known:
         sandwich(inverse_upper(R[count - 1]), inner, P[count - 1])
     for k in range(count - 2, -1, -1):
+        give_way(0)
         sandwich(S[k], P[k + 1], inner)
         for i in range(n):
             inner[i, i] += 1.0

@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled import give_way, jit, jit_loop
 from relnav_graph.compiled.contracts import (
     DEGENERATE,
     INDEX_MATRIX,
@@ -162,6 +162,7 @@ def filter_epochs(
         most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
     squares = np.zeros(most)
     for k in range(begin, end):
+        give_way(0)
         slot = k % F.shape[0]
         failure[3] = k
         if k >= lag:

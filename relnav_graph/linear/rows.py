@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled import give_way, jit, jit_loop
 from relnav_graph.compiled.contracts import (
     GUARD,
     INDEX_MATRIX,
@@ -166,6 +166,7 @@ def _observe_run(
     r_one = r_buffer[GUARD : GUARD + rows]
     h_one = _matrix(h_buffer, GUARD, rows, n)
     for o in range(start, stop):
+        give_way(o)
         i, one = o - first, observations[o]
         status[i] = 0
         if weight[i] == 0.0:
@@ -297,6 +298,7 @@ def transition(
     failure (3,): interval, process and status where one cannot be propagated.
     """
     for k in range(tables.starts.shape[0]):
+        give_way(k)
         process, status = propagate(tables, k, x[k], x_next[k], F[k], Q[k])
         if status != 0:
             failure[0], failure[1], failure[2] = k, process, status
@@ -334,6 +336,7 @@ def whitening(
         own, L, scale = np.empty((n, n)), np.empty((n, n)), np.empty(n)
         for k in range(Q.shape[0]):
             _resolution(x_next[k], kinds, floor)
+            give_way(k)
             for i in range(n):
                 for j in range(n):
                     own[i, j] = Q[k, rows[i], rows[j]]
@@ -385,4 +388,5 @@ def interval_rows(
     elsewhere.
     """
     for k in range(x1.shape[0]):
+        give_way(k)
         interval_row(x_next[k], x1[k], F[k], whiten[k], kinds, e[k], A[k], B[k])

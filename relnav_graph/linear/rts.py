@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import jit_loop
+from relnav_graph.compiled import give_way, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK
 from relnav_graph.linear.filter import NOT_POSITIVE
 from relnav_graph.linear.update import to_tangent
@@ -59,6 +59,7 @@ def backward(
     if covariances:
         copy(P[count - 1], Ps[count - 1])
     for k in range(count - 2, -1, -1):
+        give_way(0)
         if not scaled_cholesky(P_predicted[k + 1], scale, L):
             failure[0], failure[3] = NOT_POSITIVE, k + 1
             return

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled import give_way, jit, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, MATRIX
 from relnav_graph.maths import dense, so3
 
@@ -95,6 +95,7 @@ def block_jacobian(d: Array, kinds: Indices, inverse: bool) -> Array:
 def retract_all(x: Array, d: Array, kinds: Indices, out: Array) -> None:
     """:func:`retract` for each row of x (N, size) and d (N, dim), into out (N, size)."""
     for k in range(x.shape[0]):
+        give_way(k)
         dense.put_vector(out[k], 0, retract(x[k], d[k], kinds))
 
 
@@ -102,4 +103,5 @@ def retract_all(x: Array, d: Array, kinds: Indices, out: Array) -> None:
 def local_all(a: Array, b: Array, kinds: Indices, out: Array) -> None:
     """:func:`local` for each row of a and b (N, size), into out (N, dim)."""
     for k in range(a.shape[0]):
+        give_way(k)
         dense.put_vector(out[k], 0, local(a[k], b[k], kinds, out.shape[1]))

@@ -10,8 +10,7 @@ from typing import Any
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Recording, Track, Truth
-from relnav_graph.estimators import GROUP, try_estimator
-from relnav_graph.registry import find_class
+from relnav_graph.estimators import find_estimator, try_estimator
 from relnav_graph.runs.closed_loop import fly_all
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.runs.warm_up import warm_up
@@ -87,7 +86,7 @@ def compare_pass(
     """Run estimators on a pass that is open, and score them; see :func:`compare`."""
     chosen = list(dict.fromkeys(kinds or opened.scenario.file.estimators))
     for kind in chosen:
-        find_class(GROUP, kind)
+        find_estimator(kind)
     warm_up(opened, chosen)
     made = estimate_pass(opened, chosen, tell=tell)
     each = [(one, track) for one in made for track in one.tracks]

@@ -22,9 +22,6 @@ def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "")
     command: the command line that made them, for the manifest. Raises InputError when the
     folder cannot be made or written.
     """
-    # Imported here: matplotlib takes half a second, which other commands need not wait for.
-    from relnav_graph.figures import error_figures, save_figures, trajectory_figure
-
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -47,6 +44,10 @@ def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "")
         found.summary["versions"],
         command,
     ).write(out)
+    # Only now: matplotlib takes half a second to import, and may be set up in a way that it
+    # cannot be; what was estimated is then in the folder.
+    from relnav_graph.figures import error_figures, save_figures, trajectory_figure
+
     derived = derived_quantities(opened.scenario.layout)
     figures = error_figures(found.tracks, opened.recording.truth, derived)
     path = trajectory_figure(found.tracks, opened.recording.truth, derived)

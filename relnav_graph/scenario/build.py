@@ -13,10 +13,11 @@ from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.problem import check_orbits, layout_of
+from relnav_graph.core.state import Layout
 from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import InputError, ModelError
-from relnav_graph.files import printable
-from relnav_graph.registry import find_class
+from relnav_graph.estimators import find_estimator
+from relnav_graph.files import check_memory, check_name, printable
 from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior
 from relnav_graph.scenario.scenario import Scenario
@@ -30,9 +31,15 @@ from relnav_graph.scenario.schema import (
     make_kind,
     shared_orbit,
 )
-from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules
+from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules, strange_values
 from relnav_graph.sim.contracts import GROUP as TRUTHS
-from relnav_graph.sim.contracts import ControlledTruth, Controller, DrivenTruth, SimulatedTruth
+from relnav_graph.sim.contracts import (
+    ControlledTruth,
+    Controller,
+    DrivenTruth,
+    Instrument,
+    SimulatedTruth,
+)
 
 __all__ = [
     "load_scenario",
@@ -43,7 +50,7 @@ __all__ = [
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
     for i, kind in enumerate(file.estimators):
         try:
-            find_class("relnav_graph.estimators", kind)
+            find_estimator(kind)
         except ModelError as error:
             problems.append((f"estimators[{i}]", str(error)))
     for i, name in enumerate(file.data.simulate if file.data is not None else []):
@@ -53,6 +60,27 @@ def _check_choices(file: ScenarioFile, problems: Problems) -> None:
     low, high = file.evaluate or (0.0, 1.0)
     if isinstance(low, float) and isinstance(high, float) and not low < high:
         problems.append(("evaluate", f"found {file.evaluate}, expected the earlier end first"))
+
+
+def _check_names(
+    file: ScenarioFile, processes: Mapping[str, Dynamics | None], problems: Problems
+) -> None:
+    """Names are names, and each table of a data set has its own."""
+    inputs = [name for p in processes.values() if p is not None for name in p.inputs]
+    for section, names in (
+        ("processes", file.processes),
+        ("inputs", file.inputs),
+        ("sensors", file.sensors),
+    ):
+        for name in names:
+            try:
+                check_name(f"one of {section}", name)
+            except InputError as error:
+                problems.append((section, str(error)))
+    for name in file.sensors:
+        if name in inputs or name == "epochs" or name.startswith("truth_"):
+            message = "the name is that of another table of a data set; choose another"
+            problems.append((f"sensors.{name}", message))
 
 
 def _check_inputs(
@@ -83,6 +111,27 @@ def _check_steps(
                 problems.append((f"{path}.max_step", str(error)))
 
 
+def _check_room(
+    file: ScenarioFile, inputs: Mapping[str, Any], layout: Layout, problems: Problems
+) -> None:
+    """A simulated pass must fit into memory: of each epoch at least its estimate (with some
+    hundred numbers of bookkeeping), of each sample of an input some twenty."""
+    step, epochs = file.time.step, file.time.epochs
+    if step is None or epochs is None or file.truth is None:
+        return
+    asked = [("time.epochs", f"{epochs} epochs", epochs * (layout.dim**2 + 100.0))]
+    for name, source in inputs.items():
+        if isinstance(period := getattr(source, "period", None), float):
+            samples = step * epochs / period
+            what = f"a period of {period} s, {samples:.3g} samples"
+            asked.append((f"inputs.{name}.period", what, 20 * samples))
+    for path, found, numbers in asked:
+        try:
+            check_memory(found, 8 * numbers)
+        except InputError as error:
+            problems.append((path, str(error)))
+
+
 def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile | None:
     """The file without its wrong tables, so that the others are checked all the same."""
     try:
@@ -105,11 +154,13 @@ def make_scenario(
     name = printable(name)
     if not trust:
         refuse_modules(f"{name}: settings of the data", settings or {})
+    problems: Problems = strange_values(settings or {}) + strange_values(raw)
+    if problems:  # nor could they be written into what a run leaves
+        raise ScenarioError(name, problems)
     sections = {"processes", "sensors"}
     # Until the data are read, settings that they may bring count as present, not as missing.
     waiting = settings is None and "data" in raw
     merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
-    problems: Problems = []
     file: ScenarioFile | None
     try:
         file = ScenarioFile.model_validate(merged)
@@ -136,6 +187,7 @@ def make_scenario(
             contract = Dynamics if section == "processes" else Sensor
             if model is not None and not isinstance(model, contract):
                 problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
+                model = None
             found[key] = model
     truth, inputs = _make_truth(merged, orbit, problems)
     control = _make_control(merged, orbit, truth, problems)
@@ -144,6 +196,7 @@ def make_scenario(
         made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
     if file is not None:
         _check_choices(file, problems)
+        _check_names(file, made["processes"], problems)
     layout, bridges = None, dict[str, Bridge]()
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
@@ -157,6 +210,7 @@ def make_scenario(
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)
+        _check_room(file, inputs, layout, problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
     compile_ahead(
@@ -177,11 +231,15 @@ def _make_truth(
         own = shared_orbit(TRUTHS, raw["truth"], orbit)
         truth = make_kind(TRUTHS, "truth", own, problems)
         if truth is not None and not isinstance(truth, SimulatedTruth | DrivenTruth):
-            problems.append(("truth.kind", f"{own['kind']!r} is an input, expected a truth"))
+            problems.append(("truth.kind", f"found {own['kind']!r}, expected a truth"))
+            truth = None
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():
         if isinstance(table, Mapping):
-            inputs[key] = make_kind(TRUTHS, f"inputs.{key}", table, problems)
+            inputs[key] = made = make_kind(TRUTHS, f"inputs.{key}", table, problems)
+            if made is not None and not isinstance(made, Instrument):
+                found = f"found {table['kind']!r}, expected an instrument"
+                problems.append((f"inputs.{key}.kind", found))
     return truth, inputs
 
 

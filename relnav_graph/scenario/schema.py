@@ -57,6 +57,8 @@ def _checked_title(value: str) -> str:
     return value
 
 
+#: Characters of a message.
+_LONGEST = 1000
 MISSING = "missing, and required"
 Seconds = Annotated[float, Quantity("s", positive=True)]
 Bound = Annotated[float | str, AfterValidator(_checked_bound)]
@@ -67,7 +69,8 @@ class ScenarioError(InputError):
     """Everything that is wrong in a scenario; `problems` holds (path, message) pairs."""
 
     def __init__(self, source: str, problems: Problems) -> None:
-        self.problems = problems
+        # Some quote what was found: a value may be megabytes long.
+        self.problems = problems = [(path, message[:_LONGEST]) for path, message in problems]
         if [path for path, _ in problems] == [""]:  # of the file as a whole: one line
             super().__init__(f"{source}: {problems[0][1]}")
             return
@@ -199,6 +202,9 @@ class ScenarioFile(BaseModel):
 
     evaluate: the part of the pass that is scored, each end a fraction of it or a time
     with its unit.
+
+    Names of sensors, inputs and processes have letters, digits, `_` and, not first, `. + -`;
+    48 at most: they are those of tables, too.
     """
 
     model_config = _STRICT
@@ -261,6 +267,8 @@ def _make(path: str, cls: type[Any], table: Mapping[str, Any], problems: Problem
         problems += from_pydantic(path, error)
     except (InputError, ModelError) as error:
         problems.append((path, str(error)))
+    except Exception as error:  # of the class itself, which need not be one of ours
+        problems.append((path, f"{cls.__name__} cannot be made: {type(error).__name__}: {error}"))
     return None
 
 
@@ -276,6 +284,9 @@ def make_kind(group: str, path: str, table: Mapping[str, Any], problems: Problem
     except ModelError as error:
         problems.append((f"{path}.kind", str(error)))
         return None
+    if not dataclasses.is_dataclass(cls):
+        problems.append((f"{path}.kind", f"{kind!r} is not a dataclass, expected one"))
+        return None
     rest = {key: value for key, value in table.items() if key != "kind"}
     return _make(path, cls, rest, problems)
 
@@ -290,10 +301,12 @@ def shared_orbit(
         cls = find_class(group, str(table.get("kind")))
     except ModelError:
         return out
+    if not dataclasses.is_dataclass(cls) or not isinstance(orbit, Mapping):
+        return out  # reported elsewhere
     names = {f.name for f in dataclasses.fields(cls)}
-    if orbit is not None and "orbit" in names:
+    if "orbit" in names:
         out.setdefault("orbit", dict(orbit))
-    elif orbit is not None and "semi_major_axis" in names:
+    elif "semi_major_axis" in names:
         placed = names & {"epoch", "true_anomaly", "argument_of_latitude"}
         out = {**{k: v for k, v in orbit.items() if placed or k != "epoch"}, **out}
     return out

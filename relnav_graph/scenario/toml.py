@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -9,16 +11,25 @@ from typing import Any
 
 from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
-from relnav_graph.scenario.schema import ScenarioError
+from relnav_graph.scenario.schema import Problems, ScenarioError
 
-__all__ = ["override", "refuse_modules"]
+__all__ = [
+    "override",
+    "refuse_modules",
+    "strange_values",
+]
 
-#: Bytes that a TOML file may have.
-_MOST = 16_000_000
+#: What no scenario needs, and what would keep a reader of files busy for minutes or for ever:
+#: bytes of a file, tables within tables, files that are each the base of the one before.
+_BYTES, _DEPTH, _BASES = 16 * 2**20, 64, 16
+#: A dotted key of more parts than that: tomllib takes the square of their number.
+_LONG_KEY = re.compile(
+    rf"(?<![\w.\"'-])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{_DEPTH}}}"
+)
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Two trees of nested tables as one; where both have a value, that of `over` wins."""
+    """Nested tables; a value in `over` wins."""
     out = dict(base)
     for key, value in over.items():
         both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
@@ -26,38 +37,127 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _content(path: Path, of_data: bool) -> bytes:
-    """The content of a file; of one that the user names, which may be a pipe, its beginning,
-    so that one without end does not fill the memory."""
-    if of_data:
-        return read_file(path, _MOST)
+def text_trouble(text: str) -> str:
+    """Why a text cannot go into all the files that bear it; "" when it can."""
+    if "\0" in text:
+        return f"found {text[:60]!r}, expected text without NUL"
     try:
-        with path.open("rb") as stream:
-            content = stream.read(_MOST + 1)
-    except OSError as error:
-        raise ScenarioError(str(path), [("", f"cannot be read: {error.strerror}")]) from error
-    if len(content) > _MOST:
-        raise ScenarioError(str(path), [("", f"found more than {_MOST} bytes: no scenario")])
-    return content
+        text.encode()
+    except UnicodeEncodeError:
+        return f"found {text[:60]!r}, expected text that is UTF-8"
+    return ""
+
+
+def _trouble(value: Any) -> str:
+    """What is wrong with a single value, whatever it stands for; "" when nothing is."""
+    if isinstance(value, str):
+        return text_trouble(value)
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        return f"found an integer of {value.bit_length()} bits, expected one that a float can hold"
+    return ""
+
+
+def strange_values(raw: Mapping[str, Any]) -> Problems:
+    """What no scenario may hold, wherever it stands, with its path: integers beyond all
+    floats, text with NUL or outside UTF-8, tables nested more than 64 deep."""
+    found: Problems = []
+    waiting: list[tuple[str, Any, int]] = [("", raw, 0)]
+    while waiting:
+        path, value, depth = waiting.pop()
+        if depth > _DEPTH:
+            found.append((f"{path[:60]}...", f"nested more than {_DEPTH} deep"))
+        elif isinstance(value, Mapping):
+            for key, item in value.items():
+                if trouble := text_trouble(str(key)):
+                    found.append((path, f"a key: {trouble}"))
+                waiting.append((f"{path}.{key}" if path else str(key), item, depth + 1))
+        elif isinstance(value, (list, tuple)):
+            waiting += [(f"{path}[{i}]", item, depth + 1) for i, item in enumerate(value)]
+        elif trouble := _trouble(value):
+            found.append((path, trouble))
+    return found[::-1]
+
+
+def _parse(text: str) -> dict[str, Any]:
+    """The tables of TOML text. Raises ValueError, with the line."""
+    long = _LONG_KEY.search(text)
+    if long:
+        line = text.count("\n", 0, long.start()) + 1
+        raise ValueError(f"a key of more than {_DEPTH} parts (at line {line})")
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ValueError(f"nested more than {_DEPTH} deep") from error
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:  # Python's own: it reads no integer of so many digits
+        digits = re.search(r"\d[\d_]{600}", text)
+        line = text.count("\n", 0, digits.start()) + 1 if digits else 0
+        raise ValueError(f"an integer of too many digits (at line {line})") from error
+
+
+def _text(path: Path, of_data: bool) -> str:
+    """The text of a file; of one that the user names, which may be a pipe, its beginning, so that
+    one without end does not fill the memory. Raises ScenarioError (InputError of data) when it
+    cannot be read, or is none."""
+
+    def cannot(message: str, error: Exception | None = None) -> ScenarioError:
+        found = ScenarioError(str(path), [("", message)])
+        found.__cause__ = error
+        return found
+
+    try:
+        if of_data:
+            content = read_file(path, _BYTES)
+        else:
+            with path.open("rb") as file:
+                content = file.read(_BYTES + 1)
+    except IsADirectoryError as error:
+        raise cannot(
+            "is a folder, expected a scenario (a TOML file); a data set goes to `relnav smooth`"
+            " or `validate`, or to --data",
+            error,
+        ) from error
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: NUL in the name
+        raise cannot(f"cannot be read: {getattr(error, 'strerror', error)}", error) from error
+    if len(content) > _BYTES:
+        raise cannot(f"holds more than {_BYTES} bytes, expected a scenario")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise cannot(f"not valid TOML: {error}", error) from error
 
 
 def read_toml(path: Path, above: tuple[Path, ...] = (), of_data: bool = False) -> dict[str, Any]:
     """The tables of a TOML file, over those of the file that it names as `base`.
 
     above: the files that have named this one; of_data: it lies in a data set. Raises
-    ScenarioError (InputError of data) when one cannot be read or names one of those.
+    ScenarioError (InputError of data) when one cannot be read, holds what no scenario may, or
+    names one of those.
     """
+    text = _text(path, of_data)
     try:
-        raw = tomllib.loads(_content(path, of_data).decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raw = _parse(text)
+    except ValueError as error:
         raise ScenarioError(str(path), [("", f"not valid TOML: {error}")]) from error
+    if problems := strange_values(raw):
+        raise ScenarioError(str(path), problems)
     base = raw.pop("base", None)
     if base is None:
         return raw
-    other = path.parent / str(base)
-    above = (*above, path.resolve())
-    if not isinstance(base, str) or other.resolve() in above:
-        raise ScenarioError(str(path), [("base", f"found {base!r}, expected another file")])
+    problem = f"found {base!r}, expected another file"
+    try:
+        above = (*above, path.resolve())
+        other = path.parent / str(base)
+        known = not isinstance(base, str) or other.resolve() in above
+    except (OSError, RuntimeError) as error:  # links that lead to each other
+        raise ScenarioError(str(path), [("base", f"{problem}: {error}")]) from error
+    if len(above) > _BASES:
+        known, problem = True, f"found more than {_BASES} files, each the base of the one before"
+    if known:
+        raise ScenarioError(str(path), [("base", problem)])
     return merge(read_toml(other, above, of_data), raw)
 
 
@@ -70,15 +170,20 @@ def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, An
     for text in assignments:
         key, equals, value = text.partition("=")
         parts = key.strip().split(".")
-        if not equals or not all(parts):
-            raise InputError(f"--set: found {text!r}, expected key.path=value")
+        if not equals or not all(parts) or len(parts) > _DEPTH:
+            raise InputError(f"--set: found {text[:200]!r}, expected key.path=value")
         try:
-            parsed: Any = tomllib.loads(f"v = {value}")["v"]
+            parsed: Any = _parse(f"v = {value}")["v"]
         except tomllib.TOMLDecodeError:
             parsed = value.strip()
+        except ValueError as error:
+            raise InputError(f"--set {key}: {error}") from error
         nested: Any = parsed
         for part in reversed(parts):
             nested = {part: nested}
+        if problems := strange_values(nested):
+            path, message = problems[0]
+            raise InputError(f"--set {path}: {message}")
         out = merge(out, nested)
     return out
 

@@ -20,12 +20,14 @@ from relnav_graph.streaming.session import Session
 
 __all__ = ["Interrupted", "Interrupts", "JournaledSession", "journaled_header", "run"]
 
+#: Seconds that an update may go on after a signal.
+_PATIENCE = 0.5
 _OFFSET = struct.Struct("<q")  # of the source, bytes, before a snapshot and each line in
 _DIGEST = struct.Struct("<qI")  # number and CRC-32 of a line out
 
 
-class Interrupted(Exception):
-    """Ctrl-C or SIGTERM: `number` is the signal's."""
+class Interrupted(BaseException):
+    """Ctrl-C or SIGTERM: `number` is the signal's. No Exception: no line is refused for it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -33,7 +35,9 @@ class Interrupted(Exception):
 
 
 class Interrupts:
-    """Ctrl-C and SIGTERM end the stream between two lines, never within an update.
+    """Ctrl-C and SIGTERM end the stream between two lines, not within an update: unless that
+    takes longer than half a second, when it is broken off. The journal is whole even then: it has
+    the line already, and what comes of it is found anew.
 
     Used as a context manager around a wait, for input or for a reader of the output: there a
     signal raises Interrupted at once.
@@ -51,9 +55,11 @@ class Interrupts:
             return
         numbers = signal.SIGINT, signal.SIGTERM
         before = {n: signal.signal(n, self._caught) for n in numbers}
+        before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._overdue)
         try:
             yield
         finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
             for number, handler in before.items():
                 signal.signal(number, handler)
 
@@ -61,6 +67,10 @@ class Interrupts:
         self.caught = number
         if self._waits:
             raise Interrupted(number)
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
+
+    def _overdue(self, number: int, frame: FrameType | None) -> None:
+        raise Interrupted(self.caught)
 
     def check(self) -> None:
         """Raise Interrupted if a signal has come."""

@@ -253,7 +253,7 @@ def test_a_recording_that_no_table_can_hold_is_refused(tmp_path: Path) -> None:
 
     attempt({"range": SENSORS["range"]}, recording, "unknown sensor 'beacons'")
     attempt({**SENSORS, "epochs": SENSORS["range"]}, recording, "cannot name a table")
-    attempt({**SENSORS, "a/b": SENSORS["range"]}, recording, "cannot name a table")
+    attempt({**SENSORS, "a/b": SENSORS["range"]}, recording, "as the name of a table")
     attempt(
         {**SENSORS, "beacons": SENSORS["range"]}, recording, "z has 3 columns, expected range_m"
     )

@@ -10,7 +10,7 @@ import numpy as np
 from relnav_factors.shared.statuses import LOST_ORBIT, NO_PLACE, degenerate, finite, length_status
 from relnav_factors.shared.white_noise import add_step, duration, step_count
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import give_way, jit
 from relnav_graph.core.catalogue import RELATIVE_POSITION, RELATIVE_VELOCITY
 from relnav_graph.core.contracts import Kernel
 from relnav_graph.core.models import DynamicsModel
@@ -127,6 +127,7 @@ def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     h = length / steps
     state, total, noise = x, dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
+        give_way(n)
         state, step = exact_step(p, t + n * h, h, state)
         add_step(step, p[_DENSITY] ** 2, h, total, noise)
     if not (finite(total) and finite(state.reshape(1, 6))):
@@ -150,6 +151,7 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     h = length / steps
     total, noise = dense.identity(6), np.zeros((6, 6))
     for n in range(steps):
+        give_way(n)
         step = relative_transition(p, t + n * h, t + (n + 1) * h)
         add_step(step, p[_DENSITY] ** 2, h, total, noise)
     if not finite(total):

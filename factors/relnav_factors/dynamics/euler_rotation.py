@@ -12,7 +12,7 @@ from relnav_factors.shared.rate_steps import published_step, rate_step, start_of
 from relnav_factors.shared.statuses import LOST_ORBIT, NO_BODY, ROTATION_FAILURES, TOO_FAST, finite
 from relnav_factors.shared.white_noise import add_step, duration, step_count
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import give_way, jit
 from relnav_graph.core.catalogue import (
     BODY_RATE,
     INERTIA,
@@ -47,11 +47,11 @@ def _rotate(
     length = duration(u)
     steps = step_count(length, p[MAX_STEP])
     h = length / steps
-    n = x.shape[0] - 6  # of the tangent
+    n, angle = x.shape[0] - 6, np.empty(3)  # n: of the tangent
     R_ot, w, k = dense.matrix_at(x, 0), dense.vector_at(x, 9), x[12:]
     total, noise, step = dense.identity(n), np.zeros((n, n)), dense.identity(n)
-    angle = np.empty(3)
-    for _ in range(steps):
+    for done in range(steps):
+        give_way(done)
         before = start_of(w, n - 3)
         if p[_EULER] != 0.0:
             after, turn = published_step(before, A, dA, h)

@@ -12,7 +12,7 @@ from relnav_factors.dynamics.euler_rotation import known_kernel as free_rotation
 from relnav_factors.shared.statuses import LOST_ORBIT, ROTATION_FAILURES, TOO_FAST, finite
 from relnav_factors.shared.white_noise import duration, step_count
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import give_way, jit
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.catalogue import TARGET_ATTITUDE, TARGET_RATE
 from relnav_graph.core.models import DynamicsModel
@@ -84,6 +84,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     total, noise = dense.identity(6), np.zeros((6, 6))
     step_F, step_Q, after = np.empty((6, 6)), np.empty((6, 6)), np.empty(12)
     for n in range(steps):
+        give_way(n)
         kicked = dense.identity(6)
         w = _kick(p, t + n * h, 0.5 * h, dense.matrix_at(y, 0), dense.vector_at(y, 9), kicked)
         dense.put_vector(y, 9, w)

@@ -13,7 +13,7 @@ import numpy as np
 from relnav_factors.shared.statuses import degenerate, finite, length_status
 from relnav_factors.shared.white_noise import add_integrated_white_noise, step_count
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import give_way, jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.maths import dense
 
@@ -183,7 +183,8 @@ def coast(
     """
     steps = step_count(length, longest)
     h, own = length / steps, np.empty((6, 6))
-    for _ in range(steps):
+    for n in range(steps):
+        give_way(n)
         y, step = orbit_step(p, y, h)
         for i in range(6):
             for j in range(6):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled import give_way, jit, jit_loop
 from relnav_graph.compiled.contracts import MATRIX, VECTOR
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.maths import dense, so3
@@ -98,6 +98,7 @@ def advance(orbit: Array, bodies: Array, span: Array, command: Array, y: Array) 
     k, stage, none = np.empty((4, 7)), np.empty(7), np.zeros(3)
     h = span[1]
     for n in range(int(span[2])):
+        give_way(n)
         t = span[0] + n * h
         for b in range(2):
             torque = command if b == 1 else none

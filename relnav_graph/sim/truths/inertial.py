@@ -15,6 +15,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
+from relnav_graph.files import check_memory
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import TRACELESS, check_inertia, second_moments
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
@@ -110,7 +111,9 @@ class TumblingBody:
         found, density = [], np.repeat(self._densities(), 3)
         for dt in np.diff(t, prepend=0.0):
             check_steps("truth", float(dt), self.max_step)
-            count = int(np.ceil(dt / self.max_step * (1 - 1e-12)))
+            steps = np.ceil(dt / self.max_step * (1 - 1e-12))
+            check_memory(f"truth.max_step {self.max_step} s, {steps:.3g} steps", 48 * steps)
+            count = int(steps)
             h = dt / max(count, 1)
             disturbance = rng.standard_normal((count, 6)) * density / np.sqrt(h or 1.0)
             if count:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.compiled import jit, jit_loop
+from relnav_graph.compiled import give_way, jit, jit_loop
 from relnav_graph.compiled.contracts import INDICES, MATRIX, VECTOR
 
 __all__ = ["STATE_SIZE", "integrate"]
@@ -111,6 +111,7 @@ def integrate(
     row = 0
     for n in range(counts.shape[0]):
         for _ in range(counts[n]):
+            give_way(row)
             _step(p[0], p[1:4], disturbance[row], h[n], y, k)
             row += 1
         for i in range(STATE_SIZE):  # `out[n] = y` takes 2 s more to compile

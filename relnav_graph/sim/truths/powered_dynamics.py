@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import jit
+from relnav_graph.compiled import give_way, jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.maths import dense, so3
 
@@ -59,7 +59,8 @@ def fly_orbits(y: Array, held: Array, h: float, steps: int) -> Array:
 
     held (6,): constant accelerations of target and chaser besides gravity, m/s^2, in i.
     """
-    for _ in range(steps):
+    for n in range(steps):
+        give_way(n)
         k1 = _slope(y, held)
         k2 = _slope(y + h / 3 * k1, held)
         k3 = _slope(y + h * (k2 - k1 / 3), held)

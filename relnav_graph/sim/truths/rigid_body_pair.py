@@ -16,6 +16,7 @@ from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
+from relnav_graph.files import check_memory
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
@@ -145,7 +146,9 @@ class RigidBodyPair(OrbitElements):
         spans = np.diff(t, prepend=0.0)
         check_steps("truth", float(spans.max()), self.max_step)
         # The margin keeps a span of 10 s, rounded up, from taking one step more.
-        counts = np.ceil(spans / self.max_step * (1 - 1e-12)).astype(np.int64)
+        steps = np.ceil(spans / self.max_step * (1 - 1e-12))
+        check_memory(f"truth.max_step {self.max_step} s, {steps.sum():.3g} steps", 48 * steps.sum())
+        counts = steps.astype(np.int64)
         h = spans / np.maximum(counts, 1)
         density = np.repeat([self.torque_density, self.acceleration_density], 3)
         # Always six numbers a step: one noise switched on leaves the other as it was.
