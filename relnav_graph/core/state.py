@@ -21,10 +21,15 @@ from relnav_graph.maths.manifold import block_jacobian, local, local_all, retrac
 from relnav_graph.units import unit_scale
 
 __all__ = [
+    "UNIT_QUATERNION",
     "Block",
     "Layout",
     "check_rotation",
 ]
+
+#: How far from one the length of a quaternion in a file or a measurement may be: digits lost
+#: there, not a number that is no quaternion. It is then normalised.
+UNIT_QUATERNION = 1e-3
 
 
 def check_rotation(where: str, matrix: Array) -> None:

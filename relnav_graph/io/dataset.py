@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
@@ -59,7 +60,7 @@ __all__ = [
 Columns = Mapping[str, NDArray[Any]]
 
 _FORMAT = 1
-#: Measurements this close to an epoch, s, belong to it (as in `problem.make_epochs`).
+#: How far from 1 the length of a quaternion may be: of numbers with five decimals or more.
 _UNIT_QUATERNION = 1e-6
 
 
@@ -190,12 +191,13 @@ def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
     return settings
 
 
-def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement]) -> Array:
-    """Times of the epochs; every observation must fall on one."""
+def _epochs(
+    folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement], merge: float
+) -> Array:
+    """Times of the epochs; every observation must fall on one, within `merge`, s."""
     epochs = read_table(folder, "epochs")
     if epochs is None:
-        times = np.array([m.t for m in measurements])
-        times = times[np.diff(times, prepend=-np.inf) > SAME_TIME]
+        times = epoch_times(np.array([m.t for m in measurements]), merge)
     else:
         epochs.require(("t_s",))
         epochs.increasing("t_s")
@@ -207,7 +209,7 @@ def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measur
         right = np.searchsorted(times, t)
         left, right = np.maximum(right - 1, 0), np.minimum(right, len(times) - 1)
         apart = np.minimum(np.abs(times[left] - t), np.abs(times[right] - t))
-        table.refuse(apart > SAME_TIME, "t_s", "the time of an epoch")
+        table.refuse(apart > merge, "t_s", "the time of an epoch")
     return times
 
 
@@ -216,10 +218,11 @@ def read_dataset(
     sensors: Mapping[str, Sensor],
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
+    merge: float = SAME_TIME,
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
-    inputs: columns of each input, by name.
+    inputs: columns of each input, by name; merge: s, how close to an epoch is of it.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -233,7 +236,7 @@ def read_dataset(
     tables = {name: _need_table(folder, name) for name in sensors}
     measurements = [m for n, s in sensors.items() for m in _measurements(tables[n], n, s)]
     measurements.sort(key=lambda m: m.t)
-    times = _epochs(folder, tables.values(), measurements)
+    times = _epochs(folder, tables.values(), measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
     truth = _truth(folder, blocks, manifest.get("truth_source", ""))
     if truth is not None:

@@ -91,7 +91,8 @@ def compare_pass(
     warm_up(run, chosen)
     made = estimate_pass(run, chosen, tell=tell)
     each = [(one, track) for one in made for track in one.tracks]
-    tracks, times = tuple(track for _, track in each), run.recording.times
+    tracks = tuple(track for _, track in each)
+    times = run.recording.times if run.flown else run.problem.times
     found = summary(
         run.scenario.name,
         run.seed if run.simulated else None,
