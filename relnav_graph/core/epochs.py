@@ -170,10 +170,10 @@ def make_epochs(
     stamps = epoch_times(stamps, merge)
     groups: list[list[Measurement]] = [[] for _ in stamps]
     for m in ordered:
-        k = min(int(np.searchsorted(stamps, m.t - merge)), len(stamps) - 1)
-        if k < 0 or abs(stamps[k] - m.t) > merge:
+        k = int(np.searchsorted(stamps, m.t - merge))
+        if k == len(stamps) or stamps[k] > m.t + merge:
             raise InputError(f"sensor {m.sensor!r}: measurement at {m.t} s lies between epochs")
-        groups[k].append(stamped(m, float(stamps[k]), merge))
+        groups[k].append(stamped(m, float(stamps[k])))
     epochs = []
     for k, t in enumerate(stamps):
         u = {}
@@ -198,6 +198,6 @@ def epoch_times(stamps: Array, merge: float = SAME_TIME) -> Array:
     return stamps[np.array(kept, dtype=np.int64)]
 
 
-def stamped(m: Measurement, t: float, merge: float) -> Measurement:
-    """A measurement as one of the epoch at t, s, with its time where that is within `merge`, s."""
-    return replace(m, t=t) if SAME_TIME < abs(m.t - t) <= merge else m
+def stamped(m: Measurement, t: float) -> Measurement:
+    """A measurement as one of the epoch at t, s: with its time, unless that is the same."""
+    return m if abs(m.t - t) <= SAME_TIME else replace(m, t=t)

@@ -70,8 +70,8 @@ def merged(
     epoch of its time, within `merge`, s, or makes one and cuts the interval there."""
     out = list(epochs)
     k = next(i for i, e in enumerate(out) if e.t >= m.t - merge)
-    if abs(out[k].t - m.t) <= merge:
-        out[k] = replace(out[k], measurements=(*out[k].measurements, stamped(m, out[k].t, merge)))
+    if out[k].t <= m.t + merge:
+        out[k] = replace(out[k], measurements=(*out[k].measurements, stamped(m, out[k].t)))
         return out
     halves = {}
     for name, u in out[k].inputs.items():

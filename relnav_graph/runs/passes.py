@@ -132,7 +132,7 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     """The recording in a data set; a sensor's table is read by the scenario's model."""
     blocks = {b.name: b for b in scenario.layout}
     time = scenario.file.time
-    found = read_dataset(folder, scenario.sensors, scenario.input_columns, blocks, time.merge)
+    found = read_dataset(folder, scenario.sensors, scenario.input_columns, blocks, time.tolerance)
     return found.shifted(-time.origin)
 
 

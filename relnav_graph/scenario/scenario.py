@@ -162,7 +162,7 @@ class Scenario:
             recording.measurements,
             inputs,
             recording.times,
-            self.file.time.merge,
+            self.file.time.tolerance,
         )
         problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
         if self.measured:
@@ -199,7 +199,7 @@ class Scenario:
         """The problem with a given prior; without epochs, one to be driven online."""
         models, options = (self.processes, self.sensors), (self.gates, self.file.online.window)
         problem = Problem(*models, prior, tuple(epochs), *options, self.losses)
-        return replace(problem, bridges=self.bridges, merge=self.file.time.merge)
+        return replace(problem, bridges=self.bridges, merge=self.file.time.tolerance)
 
     def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
         """The prior at time t, s, drawn about the truth where it has no mean.

@@ -88,6 +88,11 @@ class TimeSettings(BaseModel):
     origin: Annotated[float, Quantity("s")] = 0.0
     merge: Annotated[float, Quantity("s", nonnegative=True)] = SAME_TIME
 
+    @property
+    def tolerance(self) -> float:
+        """`merge` with room for the rounding of stamps that are just so far apart, s."""
+        return self.merge * (1 + 1e-6) if self.merge > SAME_TIME else self.merge
+
     @model_validator(mode="after")
     def _reasonable(self) -> TimeSettings:
         if (self.step is None) != (self.epochs is None):

@@ -156,7 +156,7 @@ class Session:
             else:
                 epoch = self._waiting.at(item.t, arrival)
                 if isinstance(item, Measurement):
-                    epoch.measurements.append(stamped(item, epoch.t, self.problem.merge))
+                    epoch.measurements.append(stamped(item, epoch.t))
         except InputError as error:
             ids = item.ids.tolist() if isinstance(item, Measurement) else [None]
             for i in ids:

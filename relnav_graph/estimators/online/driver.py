@@ -175,9 +175,9 @@ class Online:
             return self.insert(epoch.measurements)
         if not np.isfinite(epoch.t):
             raise InputError(f"epoch: found t = {epoch.t} s, expected a finite time")
-        if merge > SAME_TIME:
-            of_epoch = (stamped(m, epoch.t, merge) for m in epoch.measurements)
-            epoch = replace(epoch, measurements=tuple(of_epoch))
+        if any(SAME_TIME < abs(m.t - epoch.t) <= merge for m in epoch.measurements):
+            own = (stamped(m, epoch.t) for m in epoch.measurements)
+            epoch = replace(epoch, measurements=tuple(own))
         kept, repeats = without_repeats(epoch)
         assembly = assembly if kept is epoch else None
         state, found = self._advance(self._state, kept, assembly)
