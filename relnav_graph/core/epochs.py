@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -156,22 +156,23 @@ def make_epochs(
     measurements: Sequence[Measurement],
     inputs: Mapping[str, InputSeries],
     times: Array | None = None,
+    merge: float = SAME_TIME,
 ) -> tuple[Epoch, ...]:
     """Epochs at the times of the measurements, or at `times` (N,), s, which must contain them.
 
-    Measurements within a microsecond are of one epoch. Raises InputError on measurements
-    that fall between given times, and when inputs do not cover an interval.
+    What is within `merge`, s, is one epoch, see `epoch_times`; 0: only equal stamps are. Raises
+    InputError on measurements that fall between given times, and when inputs do not cover an
+    interval.
     """
     ordered = sorted(measurements, key=lambda m: m.t)
     stamps = np.array([m.t for m in ordered]) if times is None else np.asarray(times)
-    if times is None and len(stamps):
-        stamps = stamps[np.concatenate(([True], np.diff(stamps) > SAME_TIME))]
+    stamps = epoch_times(stamps, merge)
     groups: list[list[Measurement]] = [[] for _ in stamps]
     for m in ordered:
-        k = int(np.abs(stamps - m.t).argmin()) if len(stamps) < 2 else _nearest(stamps, m.t)
-        if abs(stamps[k] - m.t) > SAME_TIME:
+        k = int(np.searchsorted(stamps, m.t - merge))
+        if k == len(stamps) or stamps[k] > m.t + merge:
             raise InputError(f"sensor {m.sensor!r}: measurement at {m.t} s lies between epochs")
-        groups[k].append(m)
+        groups[k].append(stamped(m, float(stamps[k])))
     epochs = []
     for k, t in enumerate(stamps):
         u = {}
@@ -182,6 +183,20 @@ def make_epochs(
     return tuple(epochs)
 
 
-def _nearest(stamps: Array, t: float) -> int:
-    k = int(np.clip(np.searchsorted(stamps, t), 1, len(stamps) - 1))
-    return k if stamps[k] - t < t - stamps[k - 1] else k - 1
+def epoch_times(stamps: Array, merge: float = SAME_TIME) -> Array:
+    """Times of the epochs (M,), s, of stamps (N,), s, in order: those within `merge`, s, of the
+    first of an epoch are of that epoch."""
+    chains = np.flatnonzero(np.diff(stamps, prepend=-np.inf) > merge)
+    ends = np.append(chains[1:], len(stamps)) - 1
+    kept = []
+    for first, last in zip(chains.tolist(), ends.tolist(), strict=False):
+        while stamps[last] - stamps[first] > merge:  # a chain may reach further than one link
+            kept.append(first)
+            first += int(np.searchsorted(stamps[first:], stamps[first] + merge, side="right"))
+        kept.append(first)
+    return stamps[np.array(kept, dtype=np.int64)]
+
+
+def stamped(m: Measurement, t: float) -> Measurement:
+    """A measurement as one of the epoch at t, s: with its time, unless that is the same."""
+    return m if abs(m.t - t) <= SAME_TIME else replace(m, t=t)

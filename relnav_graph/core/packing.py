@@ -9,7 +9,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics
-from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.epochs import Epoch, stamped
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.errors import InputError
 
@@ -49,7 +49,8 @@ def split(u: Array, length: float, channels: int) -> tuple[Array, Array]:
     """
     ends = np.cumsum(u[:, 0])
     starts = ends - u[:, 0]
-    before, after = u[starts < length - SAME_TIME].copy(), u[ends > length + SAME_TIME].copy()
+    closer = min(SAME_TIME, 0.25 * length, 0.25 * (ends[-1] - length))
+    before, after = u[starts < length - closer].copy(), u[ends > length + closer].copy()
     before[-1, 0] = length - starts[len(before) - 1]
     after[0, 0] = ends[len(u) - len(after)] - length
     if len(before) + len(after) > len(u):
@@ -60,14 +61,17 @@ def split(u: Array, length: float, channels: int) -> tuple[Array, Array]:
 
 
 def merged(
-    epochs: Sequence[Epoch], m: Measurement, processes: Mapping[str, Dynamics]
+    epochs: Sequence[Epoch],
+    m: Measurement,
+    processes: Mapping[str, Dynamics],
+    merge: float = SAME_TIME,
 ) -> list[Epoch]:
     """Epochs in order with one more measurement, not after the last of them: it joins the
-    epoch of its time, or makes one and cuts the interval there."""
+    epoch of its time, within `merge`, s, or makes one and cuts the interval there."""
     out = list(epochs)
-    k = next(i for i, e in enumerate(out) if e.t >= m.t - SAME_TIME)
-    if abs(out[k].t - m.t) <= SAME_TIME:
-        out[k] = replace(out[k], measurements=(*out[k].measurements, m))
+    k = next(i for i, e in enumerate(out) if e.t >= m.t - merge)
+    if out[k].t <= m.t + merge:
+        out[k] = replace(out[k], measurements=(*out[k].measurements, stamped(m, out[k].t)))
         return out
     halves = {}
     for name, u in out[k].inputs.items():

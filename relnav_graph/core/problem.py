@@ -20,7 +20,7 @@ from relnav_graph.core.cautions import (
 )
 from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
 from relnav_graph.core.epochs import Epoch, bridged, check_epoch
-from relnav_graph.core.measurement import Bridge
+from relnav_graph.core.measurement import SAME_TIME, Bridge
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.files import check_name
@@ -74,10 +74,11 @@ class Problem:
     processes, sensors: models by name; gates: probability of the chi-square gate by
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
     fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
-    gaps in inputs are bridged, by input, where they come online. Without epochs it is one to be
-    driven online: they come later. Raises ModelError when a block is advanced by no process or
-    by two, InputError when times do not increase, a sensor is unknown, two models have different
-    orbits or a name is none (`relnav_graph.files.check_name`).
+    gaps in inputs are bridged, by input, where they come online; merge: s, how close to an epoch
+    is of it, online, 0 for equal times only. Without epochs it is one to be driven online: they
+    come later. Raises ModelError when a block is advanced by no process or by two, InputError
+    when times do not increase, a sensor is unknown, two models have different orbits or a name
+    is none (`relnav_graph.files.check_name`).
     """
 
     processes: Mapping[str, Dynamics]
@@ -88,6 +89,7 @@ class Problem:
     window: float | None = None
     losses: Mapping[str, Loss] = field(default_factory=dict)
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
+    merge: float = SAME_TIME
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:

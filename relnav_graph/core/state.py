@@ -27,6 +27,10 @@ __all__ = [
     "check_rotation",
 ]
 
+#: How far from one the length of a quaternion in a file or a measurement may be: digits lost
+#: there, not a number that is no quaternion. It is then normalised.
+UNIT_QUATERNION = 1e-3
+
 
 #: How far from one the length of a quaternion in a file or a measurement may be: digits lost
 #: there, not a number that is no quaternion. It is then normalised.

@@ -11,8 +11,9 @@
 
 Units are SI and stand in the names of the columns; one row is one observation, in order
 of time. An input may have one column ``t_s`` in place of two: a row is then the mean
-since the row before, and the first row only says when the first interval starts. A table
-may be Parquet instead. A folder made by hand needs no ``dataset.toml``; where there is
+since the row before, and the first row only says when the first interval starts; where rows
+are missing, the scenario's [gaps] says what is done. Times are those of any clock: its [time]
+origin is taken off them. A table may be Parquet instead. A folder made by hand needs no ``dataset.toml``; where there is
 one, every table that it lists must still be as it was written.
 """
 
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
@@ -163,12 +165,14 @@ def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
     return settings
 
 
-def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement]) -> Array:
-    """Times of the epochs (N,), s. Raises InputError on an observation between epochs."""
+def _epochs(
+    folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement], merge: float
+) -> Array:
+    """Times of the epochs (N,), s. Raises InputError on an observation that is on none of them,
+    within `merge`, s."""
     epochs = read_table(folder, "epochs")
     if epochs is None:
-        times = np.array([m.t for m in measurements])
-        times = times[np.diff(times, prepend=-np.inf) > SAME_TIME]
+        times = epoch_times(np.array([m.t for m in measurements]), merge)
     else:
         epochs.require(("t_s",))
         epochs.increasing("t_s")
@@ -180,7 +184,7 @@ def _epochs(folder: Path, tables: Iterable[Table], measurements: Iterable[Measur
         right = np.searchsorted(times, t)
         left, right = np.maximum(right - 1, 0), np.minimum(right, len(times) - 1)
         apart = np.minimum(np.abs(times[left] - t), np.abs(times[right] - t))
-        table.refuse(apart > SAME_TIME, "t_s", "the time of an epoch")
+        table.refuse(apart > merge, "t_s", "the time of an epoch")
     return times
 
 
@@ -189,10 +193,11 @@ def read_dataset(
     sensors: Mapping[str, Sensor],
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
+    merge: float = SAME_TIME,
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
-    inputs: columns of each input, by name.
+    inputs: columns of each input, by name; merge: s, how close to an epoch is of it.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -208,7 +213,7 @@ def read_dataset(
     tables = {name: _need_table(folder, name) for name in sensors}
     measurements = [m for n, s in sensors.items() for m in _measurements(tables[n], n, s)]
     measurements.sort(key=lambda m: m.t)
-    times = _epochs(folder, tables.values(), measurements)
+    times = _epochs(folder, tables.values(), measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
     truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""))
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))

@@ -90,7 +90,8 @@ def compare_pass(
     warm_up(opened, chosen)
     made = estimate_pass(opened, chosen, tell=tell)
     each = [(one, track) for one in made for track in one.tracks]
-    tracks, times = tuple(track for _, track in each), opened.recording.times
+    tracks = tuple(track for _, track in each)
+    times = opened.recording.times if opened.flown else opened.problem.times
     found = summary(
         opened.scenario.name,
         opened.seed if opened.simulated else None,

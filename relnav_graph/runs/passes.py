@@ -134,8 +134,9 @@ def _read_folder(where: str, raw: Mapping[str, Any], folder: Path) -> Recording:
 def _recorded(scenario: Scenario, folder: Path) -> Recording:
     """The recording in a data set; a sensor's table is read by the scenario's model."""
     blocks = {b.name: b for b in scenario.layout}
-    found = read_dataset(folder, scenario.sensors, scenario.input_columns, blocks)
-    return found.shifted(-scenario.file.time.origin)
+    time = scenario.file.time
+    found = read_dataset(folder, scenario.sensors, scenario.input_columns, blocks, time.tolerance)
+    return found.shifted(-time.origin)
 
 
 def _need_folder(folder: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Prior
-from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.state import UNIT_QUATERNION, Block, Layout
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
@@ -28,6 +28,11 @@ def _prior_sigma(block: Block, value: Any) -> Array:
 
 
 def _prior_mean(block: Block, value: list[Any]) -> Array:
+    if block.manifold == "SO3" and len(value) == 4:
+        q_wxyz = np.array(Quantity("1", (4,)).parse(value))
+        if abs(np.linalg.norm(q_wxyz) - 1) > UNIT_QUATERNION:
+            raise InputError(f"found {value}, expected a unit quaternion, scalar first")
+        return so3.from_quaternion(q_wxyz)
     tangent = np.array(Quantity(block.unit, (block.dim,)).parse(value))
     return so3.exp(tangent) if block.manifold == "SO3" else tangent
 

@@ -157,7 +157,13 @@ class Scenario:
         check_step(recording.times, self.file.time.step)
         bridges = self.bridges
         inputs = {n: replace(s, bridge=bridges.get(n)) for n, s in recording.inputs.items()}
-        epochs = make_epochs(self.processes, recording.measurements, inputs, recording.times)
+        epochs = make_epochs(
+            self.processes,
+            recording.measurements,
+            inputs,
+            recording.times,
+            self.file.time.tolerance,
+        )
         problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
         if self.measured:
             problem = replace(problem, prior=initialise(problem, self.measured))
@@ -192,7 +198,8 @@ class Scenario:
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""
         models, options = (self.processes, self.sensors), (self.gates, self.file.online.window)
-        return Problem(*models, prior, tuple(epochs), *options, self.losses, self.bridges)
+        problem = Problem(*models, prior, tuple(epochs), *options, self.losses)
+        return replace(problem, bridges=self.bridges, merge=self.file.time.tolerance)
 
     def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
         """The prior at time t, s, drawn about the truth where it has no mean.

@@ -24,6 +24,7 @@ from pydantic import (
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import LONGEST, unit_hint
+from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.maths.losses import LossKind
 from relnav_graph.registry import classes, find_class, provides
@@ -86,6 +87,7 @@ class TimeSettings(BaseModel):
     recorded data need neither. origin: what the stamps of files and streams say at t = 0, s: it
     is taken off when they are read, so that numbers stay small, and put back when data are
     written; all other times (`[orbit] epoch`, `evaluate`, results) are of the pass's own clock.
+    merge: s, measurements that close to the first of an epoch are of it; 0: only equal stamps.
     """
 
     model_config = _STRICT
@@ -93,6 +95,12 @@ class TimeSettings(BaseModel):
     step: Seconds | None = None
     epochs: int | None = Field(default=None, ge=1)
     origin: Annotated[float, Quantity("s")] = 0.0
+    merge: Annotated[float, Quantity("s", nonnegative=True)] = SAME_TIME
+
+    @property
+    def tolerance(self) -> float:
+        """`merge` with room for the rounding of stamps that are just so far apart, s."""
+        return self.merge * (1 + 1e-6) if self.merge > SAME_TIME else self.merge
 
     @model_validator(mode="after")
     def _reasonable(self) -> TimeSettings:
@@ -188,7 +196,8 @@ class BlockPrior(BaseModel):
     """Prior of one block. sigma: one for all axes or one each, SI or strings with units.
 
     mean: "drawn" about the truth with sigma (simulation only), "truth" itself, "measured"
-    by the first frames, or values (an attitude as a rotation vector).
+    by the first frames, or values (an attitude as a rotation vector, or as q_wxyz: scalar first,
+    normalised within 1e-3).
     """
 
     model_config = _STRICT

@@ -15,10 +15,12 @@ from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
-from relnav_graph.errors import InputError
+from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.units import column_unit, unit_scale
 
 __all__ = ["check_step", "wrong_input", "wrong_unit"]
@@ -34,6 +36,8 @@ _MEANT = {
 #: Chi-square tail probabilities: below the first, a measurement does not fit as it is; above
 #: the second, it fits in another unit.
 _MISFIT, _FIT = 1e-9, 1e-3
+#: Squared misfit by which one unit must fit better than another that is more usual.
+_DECISIVE = 16.0
 
 
 def _misfit(
@@ -79,6 +83,39 @@ def wrong_unit(sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Arra
     return f"{fitting}? its squared misfit is far from chance as it is, and not in that unit"
 
 
+def _least_misfit(
+    problem: Problem, measurements: Sequence[Measurement], x: Array, P: Array
+) -> tuple[float, int]:
+    """Squared misfit of measurements and of a prediction x (size,), P (n, n), at the state that
+    suits both best, and the rows: of linear models that of the innovation."""
+    layout = problem.layout
+    assembly = Assembly(
+        layout, {}, problem.sensors, [Epoch(measurements[0].t, tuple(measurements))]
+    )
+    every, whiten = np.ones(assembly.observations), np.linalg.inv(np.linalg.cholesky(P))
+
+    def rows_at(x_now: Array) -> tuple[Array, Array]:
+        rows = assembly.measure(x_now[None], every)
+        if (rows.status > 0).any():
+            raise GeometryError("an observation is impossible there")
+        return np.concatenate([rows.r, whiten @ layout.local(x, x_now)]), rows.H
+
+    now = x
+    (r, H), step = rows_at(now), 1.0
+    for _ in range(30):
+        d = -np.linalg.lstsq(np.vstack([H, whiten]), r, rcond=None)[0]
+        moved = layout.retract(now, step * d)
+        r_moved, H_moved = rows_at(moved)
+        gained = r @ r - r_moved @ r_moved
+        if gained < 0:
+            step *= 0.5
+            continue
+        now, r, H, step = moved, r_moved, H_moved, min(1.0, 2 * step)
+        if gained < 1e-3 * (1 + r @ r):
+            break
+    return float(r @ r), len(H)
+
+
 #: What the prediction to an epoch is, x (size,) and P (n, n), with inputs u by process.
 Predict = Callable[[Mapping[str, Array]], tuple[Array, Array]]
 
@@ -95,22 +132,18 @@ def wrong_input(
     inputs: u (rows, 1 + channels) by process, SI, from a known state to the measurements' epoch;
     predict: what is expected there with such inputs.
     """
-
-    def misfit(given: Mapping[str, Array], chance: float) -> float:
-        """The largest of the measurements, in parts of what chance allows."""
-        x, P = predict(given)
-        found = [_misfit(problem.sensors[m.sensor], m, problem.layout, x, P) for m in measurements]
-        return max(size / float(chdtri(rows, chance)) for size, rows in found)
-
-    least, fitting = 1.0, None
+    least, fitting = np.inf, None
     try:
-        if misfit(inputs, _MISFIT) <= 1.0:
+        size, rows = _least_misfit(problem, measurements, *predict(inputs))
+        if size <= chdtri(rows, _MISFIT):
             return ""
         for name in dict.fromkeys(n for p in problem.processes.values() for n in p.inputs):
             columns = next(p.inputs[name] for p in problem.processes.values() if name in p.inputs)
             for words, scale in _scales(columns):
-                size = misfit(_scaled(problem, inputs, name, scale), _FIT)
-                if size <= least:
+                given = predict(_scaled(problem, inputs, name, scale))
+                size, rows = _least_misfit(problem, measurements, *given)
+                # The first of several that fit: the more usual one.
+                if size <= chdtri(rows, _FIT) and size < least - _DECISIVE:
                     least, fitting = size, f"input {name!r}: {words}?"
     except Exception:  # what a model has against it is for the estimator to say
         return None

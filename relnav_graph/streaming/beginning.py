@@ -14,7 +14,6 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.packing import merged, pack, under, unpack
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.linear.assembly import Assembly
@@ -42,9 +41,10 @@ class Beginning:
         Raises EstimationError, naming what is missing, when the first estimate cannot be made
         from this epoch.
         """
-        if self.epochs and epoch.t <= self.epochs[-1].t + SAME_TIME:
+        if self.epochs and epoch.t <= self.epochs[-1].t + self.problem.merge:
+            own = self.problem.processes, self.problem.merge
             for m in epoch.measurements:
-                self.epochs = merged(self.epochs, m, self.problem.processes)
+                self.epochs = merged(self.epochs, m, *own)
         elif self.epochs:
             self.epochs.append(epoch)
             self.t = epoch.t

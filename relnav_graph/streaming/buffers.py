@@ -137,15 +137,16 @@ class WaitingEpoch:
 
 
 class Waiting:
-    """Epochs that wait, in order of time."""
+    """Epochs that wait, in order of time. merge: s, how close to one is of it."""
 
-    def __init__(self) -> None:
+    def __init__(self, merge: float = SAME_TIME) -> None:
+        self.merge = merge
         self.epochs: list[WaitingEpoch] = []
 
     def at(self, t: float, arrival: float) -> WaitingEpoch:
-        """The epoch at t, s: within a microsecond of one that waits, or a new one."""
-        k = bisect.bisect_left(self.epochs, t - SAME_TIME, key=lambda e: e.t)
-        if k == len(self.epochs) or self.epochs[k].t > t + SAME_TIME:
+        """The epoch at t, s: one that waits and is close enough, or a new one."""
+        k = bisect.bisect_left(self.epochs, t - self.merge, key=lambda e: e.t)
+        if k == len(self.epochs) or self.epochs[k].t > t + self.merge:
             self.epochs.insert(k, WaitingEpoch(t, arrival))
         epoch = self.epochs[k]
         epoch.arrival = max(epoch.arrival, arrival)

@@ -18,7 +18,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
-from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.epochs import Epoch, stamped
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.packing import under
@@ -70,7 +70,7 @@ class Session:
         self._origin = origin
         self._patience = options.patience or problem.window or PATIENCE
         self._derived = derived_quantities(problem.layout)
-        self._waiting = Waiting()
+        self._waiting = Waiting(problem.merge)
         self._inputs = Inputs({name: InputBuffer(name) for name in self.columns})
         self._heard = -np.inf  # newest time of arrival, s: the "now" of the stream
         self._last = -1  # number `n` of the last line in
@@ -156,7 +156,7 @@ class Session:
             else:
                 epoch = self._waiting.at(item.t, arrival)
                 if isinstance(item, Measurement):
-                    epoch.measurements.append(item)
+                    epoch.measurements.append(stamped(item, epoch.t))
         except InputError as error:
             ids = item.ids.tolist() if isinstance(item, Measurement) else [None]
             for i in ids:
@@ -265,7 +265,7 @@ class Session:
             return self._begin(epoch, self._beginning)
         now, measurements = self.online.t, tuple(epoch.measurements)
         try:
-            if now is not None and epoch.t <= now + SAME_TIME:
+            if now is not None and epoch.t <= now + self.problem.merge:
                 found = self.online.insert(measurements) if measurements else None
             else:
                 inputs = {} if now is None else self._since(now, epoch.t)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.epochs import Epoch, stamped
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.packing import Repeats, held, merged, pack, under, unpack, without_repeats
 from relnav_graph.core.problem import Prior, Problem
@@ -168,12 +168,16 @@ class Online:
         """
         self._claim()
         t = self.t
-        if t is not None and epoch.t <= t + SAME_TIME:
-            if epoch.t < t - SAME_TIME:
+        merge = self.problem.merge
+        if t is not None and epoch.t <= t + merge:
+            if epoch.t < t - merge:
                 raise LateError(f"epoch at {epoch.t} s: before the newest one, at {t} s")
             return self.insert(epoch.measurements)
         if not np.isfinite(epoch.t):
             raise InputError(f"epoch: found t = {epoch.t} s, expected a finite time")
+        if any(SAME_TIME < abs(m.t - epoch.t) <= merge for m in epoch.measurements):
+            own = (stamped(m, epoch.t) for m in epoch.measurements)
+            epoch = replace(epoch, measurements=tuple(own))
         kept, repeats = without_repeats(epoch)
         assembly = assembly if kept is epoch else None
         state, found = self._advance(self._state, kept, assembly)
@@ -189,14 +193,14 @@ class Online:
         self._claim()
         if not measurements:
             return self._swap(self._state, [], ())
-        old = self._state
+        old, merge = self._state, self.problem.merge
         for m in measurements:
             self._check_late(m)
-        first = min(m.t for m in measurements) - SAME_TIME
+        first = min(m.t for m in measurements) - merge
         start = next(i for i, moment in enumerate(old.moments) if moment.epoch.t >= first)
         epochs = [moment.epoch for moment in old.moments[start:]]
         for m in measurements:
-            epochs = merged(epochs, m, self.problem.processes)
+            epochs = merged(epochs, m, self.problem.processes, merge)
         cleaned = [without_repeats(e) for e in epochs]
         repeats = [r for _, more in cleaned for r in more]
         if sum(len(ids) for _, _, ids in repeats) == sum(len(m.z) for m in measurements):
@@ -292,10 +296,10 @@ class Online:
         where = f"sensor {m.sensor!r} at t = {m.t} s"
         if m.sensor not in self.problem.sensors:
             raise InputError(f"{where}: unknown sensor")
-        if self.t is None or m.t > self.t + SAME_TIME:
+        if self.t is None or m.t > self.t + self.problem.merge:
             raise InputError(f"{where}: after the newest epoch, at {self.t} s; expected a late one")
         begin = self._state.moments[0].epoch.t
-        if m.t < begin - SAME_TIME:
+        if m.t < begin - self.problem.merge:
             self._count(m.sensor, "late", len(m.z))
             raise LateError(f"{where}: has left the window, which begins at {begin} s")
 
