@@ -10,8 +10,9 @@ import numpy as np
 from scipy.linalg import cholesky_banded
 
 from relnav_graph.arrays import Array
-from relnav_graph.estimators.batch import Batch, solve
+from relnav_graph.estimators.batch import Batch
 from relnav_graph.estimators.ekf import run_filter
+from relnav_graph.estimators.gauss_newton import solve
 from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import anchor_of, linearize

@@ -19,8 +19,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Truth
-from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.ekf import ITERATIONS, filter_problem
+from relnav_graph.estimators.gauss_newton import Solution, solve
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario.build import load_scenario

@@ -1,255 +1,30 @@
-"""Batch smoother: Gauss-Newton with Levenberg damping over the whole factor graph."""
+"""Batch smoother: the maximum a posteriori estimate of a whole pass."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from relnav_graph.arrays import Array, Indices
-from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.cautions import Caution
+from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status, Track
-from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
+from relnav_graph.estimators.gauss_newton import is_small, solve_gated
 from relnav_graph.estimators.rts import smooth
+from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
     count_rejected,
     lost,
-    residual_weights,
-    thresholds,
 )
-from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
 from relnav_graph.maths.losses import Loss
 
-#: A step of fewer sigmas is none. Where rounding is more than that, as on long passes far from
-#: the target, it shows in steps that are small, in sigmas of a state, and stay as long.
-ROUNDING, SMALL, STALLED = 1e-7, 1e-3, 0.9
-#: The cost is a sum of many squares, each rounded: no reason to stop, or to prefer one before.
-COST_ROUNDING = 1e-10
-#: Rounds of reweighting, at most, and the change of a weight's root that ends them.
-ROUNDS, WEIGHT_TOLERANCE = 50, 1e-3
-
-__all__ = ["Batch", "Solution", "at_rounding", "solve"]
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Trajectory x (N, size), the conditionals there, the final cost and step.
-
-    status (observations,): not 0 for one impossible there; weights (observations,): square
-    roots of their weights; distance: length of the last Gauss-Newton step,
-    in sigmas over all states.
-    """
-
-    x: Array
-    conditionals: Conditionals
-    cost: float
-    status: Indices
-    weights: Array
-    distance: float
-    iterations: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearisation:
-    """A pass with everything fixed but the trajectory.
-
-    made: the conditionals of all systems so far, memory that is used again.
-    """
-
-    assembly: Assembly
-    anchor: Anchor
-    whiten: Array
-    weights: Array
-    made: list[Conditionals] = field(default_factory=list)
-
-    def at(self, x: Array, needed: Sequence[System] = (), damping: Array | None = None) -> System:
-        """The system at x (N, size); overwrites all earlier systems but the `needed` ones.
-
-        damping: (N, n), see `linearize`.
-        """
-        kept = [system.conditionals for system in needed]
-        free = [c for c in self.made if all(c is not one for one in kept)]
-        models = self.assembly, self.anchor
-        system = linearize(
-            *(*models, x, self.whiten, self.weights, damping), into=free[0] if free else None
-        )
-        if not free:
-            self.made.append(system.conditionals)
-        return system
-
-    def damped(self, system: System, damping: float) -> Conditionals:
-        """The same system with Levenberg's damping, in units of each state's own sigma.
-
-        Scaled by the diagonal of the information, as is usual, damping would freeze the weak
-        directions, which many states share: there a state's own sigma is large.
-        """
-        variances = np.einsum("kii->ki", system.conditionals.covariances())
-        return self.at(system.x, [system], np.sqrt(damping / variances)).conditionals
-
-    def moved(self, system: System, step: Array, best: System) -> System | None:
-        """The system after a step; None where it cannot be. Leaves system and best alone.
-
-        An observation that the step makes impossible must not pass for one that fits.
-        """
-        x = self.assembly.layout.retract(system.x, step)
-        try:
-            after = self.at(x, [system, best])
-        except (GeometryError, ModelError, EstimationError):
-            return None
-        lost = (after.status > 0) & (system.status == 0)
-        return None if lost.any() or not np.isfinite(after.cost) else after
-
-
-def at_rounding(distance: float, before: float, states: int) -> bool:
-    """Whether a Gauss-Newton step is mere rounding, by its length, in sigmas over all states.
-
-    before: the length of the step before.
-    """
-    stalled = distance > STALLED * before and _is_small(distance, states)
-    return distance < ROUNDING or stalled
-
-
-def _is_small(distance: float, states: int) -> bool:
-    """Whether a step of that length over all states together is small for each."""
-    return distance < SMALL * float(np.sqrt(states))
-
-
-def solve(
-    assembly: Assembly,
-    prior: Prior | Anchor,
-    x: Array,
-    weights: Array,
-    *,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-) -> Solution:
-    """Minimise the whole cost from the trajectory x (N, size), stored vectors.
-
-    weights: (observations,), square roots of the weights, held fixed.
-
-    Steps are Gauss-Newton's. In a narrow, bent valley a good one may raise the cost
-    before the next lowers it, so two may (the watchdog of Chamberlain et al. 1982);
-    then the best point so far is taken up again, with damping. tolerance: the length of
-    the last step, in sigmas over all states together, where rounding allows it. Noise that
-    depends on the state is taken at the first trajectory, so that the cost stays one
-    function. Raises EstimationError on a system without a solution.
-    """
-    anchor = prior if isinstance(prior, Anchor) else anchor_of(prior)
-    whiten = assembly.whitening(x[:-1])
-    the_pass = _Linearisation(assembly, anchor, whiten, weights)
-    best = system = the_pass.at(x)
-    conditionals = system.conditionals
-    damping, ventured, distance, iteration = 0.0, 0, np.inf, 0
-    while iteration < max_iterations:
-        iteration += 1
-        before, distance = distance, np.sqrt(2 * system.conditionals.decrease())
-        if damping == 0.0 and at_rounding(distance, before, system.conditionals.d.size):
-            break
-        after = the_pass.moved(system, conditionals.solution(), best)
-        better = after is not None and after.cost <= best.cost * (1 + COST_ROUNDING)
-        if after is not None and (better or (damping == 0.0 and ventured < 2)):
-            system = after
-            ventured = 0 if better else ventured + 1
-            if better:
-                best = system
-                converged = distance < tolerance and damping == 0.0
-                damping = damping / 10 if damping > 1e-3 else 0.0
-                if converged:
-                    break
-        elif distance < tolerance or damping > 1e8:
-            break
-        else:
-            system = best
-            damping, ventured = max(10 * damping, 1e-2), 0
-        conditionals = the_pass.damped(system, damping) if damping else system.conditionals
-    return Solution(
-        *(best.x, best.conditionals, best.cost, best.status),
-        *(weights, float(distance), iteration),
-    )
-
-
-def solve_gated(
-    assembly: Assembly,
-    problem: Problem,
-    x: Array,
-    weights: Array,
-    tolerance: float = 1e-3,
-    anchor: Anchor | None = None,
-) -> Solution:
-    """`solve`, with the weights of gates and robust losses renewed until they stay the same.
-
-    x (N, size): trajectory to start from; weights (observations,): square roots of the weights
-    to start with; anchor: instead of the problem's prior.
-
-    Where something was rejected, or a loss redescends, there are many minima. Then the problem
-    is solved with Huber's loss first, which has one minimum, so that what to leave out is decided
-    at a robust estimate. With gates alone it is also solved without that detour, and the better
-    of the two results is taken.
-    """
-    prior = problem.prior if anchor is None else anchor
-    solution = solve(assembly, prior, x, weights, tolerance=tolerance)
-    if not (problem.gates or problem.losses) and (solution.status == 0).all():
-        return solution
-    losses = problem.losses
-    doubtful = {name for name, loss in losses.items() if loss.redescends}
-    straight = None
-    if not doubtful:  # a gate alone: as good a way is the one without a detour
-        straight = _reweighted(
-            *(assembly, prior, solution, problem.gates, losses), tolerance, WEIGHT_TOLERANCE
-        )
-    if (solution.weights == 0).any():
-        doubtful |= set(problem.gates)
-    if straight is not None and not doubtful:
-        return straight
-    kept = {name: gate for name, gate in problem.gates.items() if name not in doubtful}
-    convex = {**losses, **dict.fromkeys(doubtful, Loss("huber"))}
-    rough = _reweighted(assembly, prior, solution, kept, convex, 0.1, 0.05)
-    found = _reweighted(
-        *(assembly, prior, rough, problem.gates, losses), tolerance, WEIGHT_TOLERANCE
-    )
-    if straight is None:
-        return found
-    limits = thresholds(assembly, problem.gates)
-    return min(straight, found, key=lambda s: _truncated(s, limits))
-
-
-def _truncated(solution: Solution, limits: Array) -> float:
-    """The cost that a gate minimises: what is beyond it counts as much as at its edge."""
-    out = solution.weights == 0
-    return solution.cost + 0.5 * float(np.where(np.isfinite(limits), limits, 0.0)[out].sum())
-
-
-def _reweighted(
-    assembly: Assembly,
-    prior: Prior | Anchor,
-    solution: Solution,
-    gates: Mapping[str, float],
-    losses: Mapping[str, Loss],
-    tolerance: float,
-    settled: float,
-) -> Solution:
-    """The solution with weights that its own residuals give, within `settled`."""
-    everything, rounds = np.ones(assembly.observations), ROUNDS if losses else 10
-    for _ in range(rounds):
-        rows = assembly.measure(solution.x, everything)
-        weights = residual_weights(assembly, rows, gates, losses)
-        if np.abs(weights - solution.weights).max(initial=0.0) <= settled:
-            break
-        # While the weights still change, two steps at a time are enough.
-        solution = solve(
-            *(assembly, prior, solution.x, weights), tolerance=tolerance, max_iterations=2
-        )
-    if solution.distance < tolerance:
-        return solution
-    return solve(assembly, prior, solution.x, solution.weights, tolerance=tolerance)
+__all__ = ["Batch"]
 
 
 def _filtered(problem: Problem) -> FilterSweep:
@@ -275,12 +50,12 @@ class Batch:
 
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
-        start = time.perf_counter()
+        start, seconds = time.perf_counter(), 0.0
         done = _filtered(problem)
         x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         status: Status = "diverged"
         rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
-        assembly, message = done.assembly, done.stopped
+        assembly, message, cautions = done.assembly, done.stopped, tuple[Caution, ...]()
         if not message:
             try:
                 begin, weights = smooth(done, covariances=False)[0], done.weights
@@ -292,10 +67,13 @@ class Batch:
                 away = lost(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
                 status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
-                if not _is_small(solution.distance, solution.conditionals.d.size):
+                if not is_small(solution.distance, solution.conditionals.d.size):
                     status = "degraded"
                     stopped = f"not converged: last step {solution.distance:.2g} sigma"
                     message = f"{message}; {stopped}" if message else stopped
+                seconds = time.perf_counter() - start
+                if status == "ok":
+                    cautions = second_look(assembly, problem.prior, solution, P)
             except UNSOLVED as error:
                 message = str(error)
         return Track(
@@ -307,7 +85,8 @@ class Batch:
             P=P,
             status=status,
             message=message,
-            runtime_s=time.perf_counter() - start,
+            runtime_s=seconds or time.perf_counter() - start,
             rejected=rejected,
             downweighted=downweighted,
+            cautions=cautions,
         )

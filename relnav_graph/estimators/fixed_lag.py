@@ -32,8 +32,8 @@ from relnav_graph.core.packing import pack, under, unpack
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import Solution, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
+from relnav_graph.estimators.gauss_newton import Solution, solve_gated
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (

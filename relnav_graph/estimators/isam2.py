@@ -21,12 +21,14 @@ import gtsam
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import Solution, solve, solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
+from relnav_graph.estimators.gauss_newton import Solution, solve, solve_gated
+from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
@@ -332,6 +334,7 @@ class Isam2:
         problem, status, message = done.problem, "diverged", done.stopped
         x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
         rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
+        cautions, seconds = tuple[Caution, ...](), 0.0
         if not done.stopped:
             try:
                 assembly, solution = smoother.finish()
@@ -341,6 +344,9 @@ class Isam2:
                 away = lost(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
                 status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
+                seconds = time.perf_counter() - begun
+                if status == "ok":
+                    cautions = second_look(assembly, problem.prior, solution, P)
             except UNSOLVED as error:
                 message = str(error)
         track = done.track(
@@ -349,6 +355,7 @@ class Isam2:
             message=message,
             rejected=rejected,
             downweighted=downweighted,
+            cautions=cautions,
         )
         smoothed = replace(
             track,
@@ -356,7 +363,7 @@ class Isam2:
             kind="smoothed",
             x=x,
             P=P,
-            runtime_s=track.runtime_s + time.perf_counter() - begun,
+            runtime_s=track.runtime_s + (seconds or time.perf_counter() - begun),
             step_s=None,
         )
         return replace(track, smoothed=smoothed)

@@ -19,8 +19,8 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import at_rounding
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, run_filter
+from relnav_graph.estimators.gauss_newton import at_rounding
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.weights import count_downweighted, count_rejected
 from relnav_graph.linear.assembly import Assembly

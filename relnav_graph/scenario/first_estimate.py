@@ -21,8 +21,8 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.batch import solve_gated
 from relnav_graph.estimators.ekf import ITERATIONS, filter_problem
+from relnav_graph.estimators.gauss_newton import solve_gated
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly

@@ -13,13 +13,16 @@ import numpy as np
 
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.track import Track
+from relnav_graph.estimators.second_look import SECOND_LOOK
 
-__all__ = ["REFERENCES", "distance_caution", "distances"]
+__all__ = ["REFERENCES", "distances", "row_cautions"]
 
 #: Whose estimate stands for the optimum: the first of these that is there.
 REFERENCES = ("batch", "rts")
 #: Sigmas from which on a distance is a caution.
 FAR = 3.0
+#: Mean square of the distance from the reference, in a filter's own sigmas, that is a caution.
+OVERCONFIDENT = 3.0
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # diverged tracks: None in the end
@@ -54,9 +57,45 @@ def distances(tracks: Mapping[str, Track]) -> tuple[str, dict[str, float | None]
     }
 
 
-def distance_caution(distance: float | None, track: Track, reference: str) -> tuple[Caution, ...]:
-    """Where an estimate is further from the reference than chance and rounding can tell."""
-    if distance is None or distance <= FAR:
-        return ()
-    where = "at the last epoch" if track.kind == "filtered" else "over the pass"
-    return (Caution("distance", f"{distance:.3g} sigma from {reference} {where}"),)
+def _overconfidence(track: Track, reference: Track) -> float:
+    """Mean of (x - r)^T P^-1 (x - r) / n over the last three quarters of the pass, of a filter's
+    estimates x, with covariances P (n, n), against the reference r.
+
+    At most 1 in the mean where both are consistent: x - r has the covariance P less that of r.
+    """
+    late = slice(len(track.t) // 4, None)
+    d = track.layout.local(reference.x[late], track.x[late])
+    try:
+        white = np.linalg.solve(np.linalg.cholesky(track.P[late]), d[:, :, None])
+    except np.linalg.LinAlgError:
+        return 0.0
+    return float(np.square(white).sum(axis=1).mean() / d.shape[1])
+
+
+def row_cautions(
+    rows: Mapping[str, Track], reference: str, apart: Mapping[str, float | None]
+) -> dict[str, tuple[Caution, ...]]:
+    """The cautions of each row: its own, and what comparing it with the reference says.
+
+    rows, reference, apart: as of `distances`. A posterior that is bent for the reference is so
+    for all that estimate the same pass.
+    """
+    bent = [c for c in rows[reference].cautions if c.name == SECOND_LOOK] if reference else []
+    found = {}
+    for name, track in rows.items():
+        own, distance = list(track.cautions), apart[name]
+        if distance is not None and not any(c.name == SECOND_LOOK for c in own):
+            own += [Caution(SECOND_LOOK, f"of {reference}: {c.text}") for c in bent]
+        if distance is not None and distance > FAR:
+            where = "at the last epoch" if track.kind == "filtered" else "over the pass"
+            own.append(Caution("distance", f"{distance:.3g} sigma from {reference} {where}"))
+        elif distance is not None and track.kind != "smoothed":
+            ratio = _overconfidence(track, rows[reference])
+            if ratio > OVERCONFIDENT:
+                text = (
+                    f"squared distance from {reference}, in its own sigmas, {ratio:.3g} times what"
+                    " its covariance allows, on average over the last three quarters of the pass"
+                )
+                own.append(Caution("overconfident", text))
+        found[name] = tuple(own)
+    return found

@@ -22,7 +22,7 @@ from relnav_graph.core.contracts import Derived
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind, Track, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.scoring.agreement import distance_caution, distances
+from relnav_graph.scoring.agreement import distances, row_cautions
 from relnav_graph.scoring.deviations import (
     Band,
     StateErrors,
@@ -279,10 +279,7 @@ def summary(
     """
     rows = with_smoothed(tracks)
     reference, apart = distances(rows)
-    own = {
-        name: (*track.cautions, *distance_caution(apart[name], track, reference))
-        for name, track in rows.items()
-    }
+    own = row_cautions(rows, reference, apart)
     of_pass = [{**vars(c), "estimator": None} for c in cautions]
     of_rows = [{**vars(c), "estimator": name} for name, found in own.items() for c in found]
     return {

@@ -40,7 +40,7 @@ from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track
 from relnav_graph.errors import GeometryError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.estimators.batch import Solution, solve
+from relnav_graph.estimators.gauss_newton import Solution, solve
 from relnav_graph.estimators.isam2 import IncrementalSmoother
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario.build import load_scenario

@@ -16,8 +16,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block
 from relnav_graph.estimators import run_estimator
-from relnav_graph.estimators.batch import Solution, solve
 from relnav_graph.estimators.ekf import filter_problem
+from relnav_graph.estimators.gauss_newton import Solution, solve
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
