@@ -91,7 +91,7 @@ def error(track: Track, truth: Truth) -> float:
 def main() -> None:
     """Draw, estimate, count."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("seed", type=int)
     parser.add_argument("count", type=int)

@@ -125,16 +125,14 @@ class EulerRotation(DynamicsModel):
     """Attitude, rate and inertia of a free rigid target.
 
     R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot; J w' = -w x J w + white (Zhang et al. 2015,
-    section 3; Hu et al. 2019, eq. 4). inertia = "principal": the target's axes are its
-    principal axes, and the ratios l = tanh(k) stand in the state as k
-    (`relnav_graph.core.catalogue.INERTIA`). inertia = "full": any axes, `catalogue.INERTIA_MATRIX`.
-    inertia = "known": known_inertia, J about the axes of t up to its scale, kg m^2.
+    section 3; Hu et al. 2019, eq. 4). inertia = "principal": t are principal axes, and the
+    ratios l = tanh(k) stand in the state as k (`catalogue.INERTIA`); "full": any axes,
+    `catalogue.INERTIA_MATRIX`; "known": known_inertia, J up to its scale, kg m^2, in t.
 
     torque_density: rad/s^1.5, angular acceleration per axis; inertia_density: 1/sqrt(s),
     a small random walk that keeps the covariance regular; max_step: s, the longest step;
-    orbit: the target's, None where o does not rotate; integrator: "euler" is Hu's.
-    rate: "body_rate" where the axes of t are arbitrary, so that tables show the rate in
-    chaser axes instead (`relnav_factors.derived.relative_pose.TargetRateInChaser`).
+    orbit: the target's, None where o does not rotate; integrator: "euler" is Hu's; rate:
+    "body_rate" where the axes of t are arbitrary: tables then show it in chaser axes.
 
     Raises InputError on a known inertia that no body has, that is missing, or unused.
     """
@@ -183,10 +181,11 @@ class EulerRotation(DynamicsModel):
         return f"the target turns {np.degrees(turn):.0f} deg in {length:g} s: aliased from 180 deg"
 
     def constants(self) -> Array:
-        euler = float(self.integrator == "euler")
-        own = [self.torque_density, self.inertia_density, self.max_step, euler]
+        densities, euler = (self.torque_density, self.inertia_density), self.integrator == "euler"
         known = np.zeros(0) if self.known_inertia is None else coefficients_of(self.known_inertia)
-        return np.concatenate([orbit_array(self.orbit), own, known.ravel()])
+        return np.concatenate(
+            [orbit_array(self.orbit), [*densities, self.max_step, euler], known.ravel()]
+        )
 
     def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
         """What a steady spin hides: the phase, and the inertia ratios."""
