@@ -181,11 +181,9 @@ class EulerRotation(DynamicsModel):
         return f"the target turns {np.degrees(turn):.0f} deg in {length:g} s: aliased from 180 deg"
 
     def constants(self) -> Array:
-        densities, euler = (self.torque_density, self.inertia_density), self.integrator == "euler"
+        own = [self.torque_density, self.inertia_density, self.max_step, self.integrator == "euler"]
         known = np.zeros(0) if self.known_inertia is None else coefficients_of(self.known_inertia)
-        return np.concatenate(
-            [orbit_array(self.orbit), [*densities, self.max_step, euler], known.ravel()]
-        )
+        return np.concatenate([orbit_array(self.orbit), own, known.ravel()])
 
     def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
         """What a steady spin hides: the phase, and the inertia ratios."""
