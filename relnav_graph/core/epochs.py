@@ -33,9 +33,8 @@ class Epoch:
     inputs: Mapping[str, Array] = field(default_factory=dict)
 
 
-#: Longest interval, s, and most steps of a process over one: whoever asks for more means
-#: something else.
-LONGEST, MOST_STEPS = 1e6, 1e6
+#: Longest interval, s: whoever asks for more means something else.
+LONGEST = 1e6
 
 
 def unit_hint(length: float) -> str:
@@ -47,18 +46,12 @@ def unit_hint(length: float) -> str:
     return ""
 
 
-def _check_length(where: str, process: Dynamics, length: float) -> None:
+def _check_length(where: str, length: float) -> None:
     """Raise InputError on an interval that no model can mean."""
     if length > LONGEST:
         raise InputError(
             f"{where}: found an interval of {length:.6g} s, expected at most {LONGEST:g} s"
             + unit_hint(length)
-        )
-    step = getattr(process, "max_step", None)
-    if isinstance(step, float) and length > MOST_STEPS * step:
-        raise InputError(
-            f"{where}: found an interval of {length:.6g} s, {length / step:.3g} steps of"
-            f" max_step = {step:g} s, expected at most {MOST_STEPS:g}" + unit_hint(length)
         )
 
 
@@ -86,7 +79,7 @@ def check_epoch(
             )
     for name, process in processes.items() if t_before is not None else ():
         where = f"process {name!r} ({process.kind}) from {t_before} s to {epoch.t} s"
-        _check_length(where, process, epoch.t - float(t_before or 0.0))
+        _check_length(where, epoch.t - float(t_before or 0.0))
         if name not in epoch.inputs:
             raise InputError(f"{where}: found no inputs for it in the epoch")
         u = check_inputs(where, process, epoch.inputs[name], spreads=True)

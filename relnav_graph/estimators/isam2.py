@@ -32,9 +32,10 @@ from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
-from relnav_graph.linear.assembly import Assembly, process_rows
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, Conditionals
 from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
+from relnav_graph.linear.rows import process_rows
 
 __all__ = ["IncrementalSmoother", "Isam2"]
 

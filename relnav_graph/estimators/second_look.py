@@ -46,7 +46,7 @@ def second_look(
     P (N, n, n): its covariances. Takes one to two times as long as the batch estimate. The draws
     are the same each time.
     """
-    layout, x, rng = assembly.layout, solution.x, np.random.default_rng(0)
+    layout, x, rng = assembly.layout, solution.x, np.random.default_rng(np.random.SeedSequence(0))
     L, W, own = np.linalg.cholesky(P[0]), inverse_cholesky("the estimate", P[0]), anchor_of(prior)
     for z in rng.standard_normal((DRAWS, layout.dim)):
         for d in (L @ z, -(L @ z)):

@@ -85,15 +85,19 @@ def _table(folder: Path, block: Block) -> Table | None:
     return table
 
 
-def _missed(block: Block, t: Array, values: Array) -> float:
+def _missed(block: Block, t: Array, values: Array) -> str:
     """By how much, in table units (a norm over the axes, rms), every second row is missed when
-    it is left out and interpolated: far more than what lies between all rows is."""
+    it is left out and interpolated: far more than what lies between all rows is. In brackets;
+    nothing of a table that has no such rows."""
+    if len(t) < 3:
+        return ""
     found = between(block, t[::2], values[::2], t[1::2])
     known = np.isfinite(found.reshape(len(found), -1)).all(axis=1)
     if not known.any():
-        return np.nan
+        return ""
     d = block.local(found[known], values[1::2][known])
-    return block.table_scale * float(np.sqrt((d**2).sum(axis=1).mean()))
+    missed = block.table_scale * float(np.sqrt((d**2).sum(axis=1).mean()))
+    return f" (left out, its own rows would be missed by {missed:.2g} {block.table_unit})"
 
 
 def _at_epochs(table: Table, block: Block, t: Array, values: Array, epochs: Array) -> Array:
@@ -113,9 +117,7 @@ def _at_epochs(table: Table, block: Block, t: Array, values: Array, epochs: Arra
         unknown = int((~(same | made)).sum())
         _LOG.info(
             f"{table.path}: of {len(epochs)} epochs {int(made.sum())} lie between its rows and are"
-            f" interpolated (left out, its own rows would be missed by"
-            f" {_missed(block, t, values):.2g} {block.table_unit}), {unknown} lie outside or in"
-            " gaps"
+            f" interpolated{_missed(block, t, values)}, {unknown} lie outside or in gaps"
         )
     return found
 

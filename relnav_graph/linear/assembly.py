@@ -42,16 +42,7 @@ from relnav_graph.linear.whitening import (
     with_constraints,
 )
 
-__all__ = ["Assembly", "MeasurementRows", "ProcessRows"]
-
-
-@dataclass(frozen=True, eq=False)
-class ProcessRows:
-    """Whitened rows e + A d_k + B d_k+1 of all intervals, d tangent: e (M, n); A, B (M, n, n)."""
-
-    e: Array
-    A: Array
-    B: Array
+__all__ = ["Assembly", "MeasurementRows"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,18 +55,6 @@ class MeasurementRows:
     r: Array
     H: Array
     status: Indices
-
-
-def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Array) -> ProcessRows:
-    """Rows of intervals that lead to x1 (M, size), predicted as x_next (M, size).
-
-    F (M, n, columns): sensitivity of x_next; whiten (M, n, n): of the process noise. For the
-    equations see `relnav_graph.linear.rows.interval_rows`.
-    """
-    out = ProcessRows(np.empty(F.shape[:2]), np.empty(F.shape), np.empty(whiten.shape))
-    arrays = [np.ascontiguousarray(a) for a in (x_next, x1, F, whiten)]
-    rows.interval_rows(*arrays, layout.kinds, out.e, out.A, out.B)
-    return out
 
 
 class Assembly:
@@ -395,10 +374,10 @@ class Assembly:
             inverse_cholesky(f"process {name!r}", Q[failure[0]][np.ix_(own, own)])
         return whiten
 
-    def process(self, x: Array, whiten: Array) -> ProcessRows:
+    def process(self, x: Array, whiten: Array) -> rows.ProcessRows:
         """Whitened rows of all intervals between the states x (M + 1, size).
 
         whiten: (M, n, n). Raises as :meth:`transition` does.
         """
         x_next, F, _ = self.transition(np.ascontiguousarray(x[:-1]))
-        return process_rows(self.layout, x_next, x[1:], F, whiten)
+        return rows.process_rows(self.layout, x_next, x[1:], F, whiten)

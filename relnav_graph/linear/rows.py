@@ -9,6 +9,8 @@ tangent vector of a whole epoch's state.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
@@ -24,6 +26,7 @@ from relnav_graph.compiled.contracts import (
     call_dynamics,
     call_sensor,
 )
+from relnav_graph.core.state import Layout
 from relnav_graph.linear.tables import (
     ADDRESS,
     COLUMNS,
@@ -52,10 +55,12 @@ from relnav_graph.maths.manifold import local, times_jacobian, times_transposed_
 
 __all__ = [
     "BROKEN",
+    "ProcessRows",
     "interval_row",
     "interval_rows",
     "measure",
     "observe",
+    "process_rows",
     "propagate",
     "transition",
     "whitening",
@@ -390,3 +395,24 @@ def interval_rows(
     for k in range(x1.shape[0]):
         give_way(k)
         interval_row(x_next[k], x1[k], F[k], whiten[k], kinds, e[k], A[k], B[k])
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessRows:
+    """Whitened rows e + A d_k + B d_k+1 of all intervals, d tangent: e (M, n); A, B (M, n, n)."""
+
+    e: Array
+    A: Array
+    B: Array
+
+
+def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Array) -> ProcessRows:
+    """Rows of intervals that lead to x1 (M, size), predicted as x_next (M, size).
+
+    F (M, n, columns): sensitivity of x_next; whiten (M, n, n): of the process noise. For the
+    equations see `relnav_graph.linear.rows.interval_rows`.
+    """
+    out = ProcessRows(np.empty(F.shape[:2]), np.empty(F.shape), np.empty(whiten.shape))
+    arrays = [np.ascontiguousarray(a) for a in (x_next, x1, F, whiten)]
+    interval_rows(*arrays, layout.kinds, out.e, out.A, out.B)
+    return out

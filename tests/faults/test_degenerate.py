@@ -258,7 +258,6 @@ def test_row_46_huge_inertia_parameters_end_with_an_error(size: str) -> None:
         "processes.relative_orbit.max_step='5e-324 s'",
         "truth.max_step='1e-300 s'",
         "truth.max_step='1e-6 s'",
-        "time.step='1e9 s'",
     ],
 )
 def test_row_46_steps_without_end_are_refused_with_a_hint(assignment: str) -> None:

@@ -36,9 +36,9 @@ def refused(capsys: Capture, *given: object) -> list[str]:
 @pytest.mark.parametrize(
     ("path", "value", "found"),
     [
-        ("time.epochs", "1000000000000", "found 1000000000000 epochs"),
-        ("time.epochs", "1" + 30 * "0", "epochs, which take at least"),
-        ("inputs.gyro.period", '"1e-9 s"', "found a period of 1e-09 s, 6e+12 samples"),
+        ("time.epochs", "1000000000000", "1000000000000 epochs: would take"),
+        ("time.epochs", "1" + 30 * "0", "epochs: would take"),
+        ("inputs.gyro.period", '"1e-9 s"', "a period of 1e-09 s, 6e+12 samples: would take"),
         ("inputs.gyro.period", "1e-320", "GiB of memory"),
     ],
 )
@@ -54,7 +54,9 @@ def test_row_36_more_memory_than_the_machine_has(
 @pytest.mark.parametrize("value", ["1e-9", "1e-300"])
 def test_row_36_more_steps_than_the_machine_can_draw(capsys: Capture, value: str) -> None:
     said = refused(capsys, "compare", ZHANG, "--set", f"truth.max_step={value}")
-    assert f"truth.max_step {value}" in said[-1].replace("1e-09", "1e-9")
+    assert f"truth.max_step: in this pass: found max_step = {value}" in said[-1].replace(
+        "-09", "-9"
+    )
 
 
 def test_room_is_what_this_process_may_use() -> None:
@@ -199,8 +201,7 @@ def test_row_36_a_file_name_that_is_not_utf8_fails_before_the_work(
     said = refused(capsys, "compare", ZHANG, "-o", tmp_path / os.fsdecode(b"caf\xe9"))
     assert "caf\\xe9', expected UTF-8" in said[0]
     assert sorted(p.name for p in tmp_path.iterdir()) == [path.name]
-    with pytest.raises(ScenarioError, match="expected text that is UTF-8"):
-        load_scenario(path)
+    assert load_scenario(path).name == r"caf\xe9"
     with pytest.raises(ScenarioError, match="title: found 'a"):
         make_scenario({**load_scenario(ZHANG).raw, "title": "a\0b"}, "named")
 
