@@ -13,8 +13,8 @@ Units are SI and stand in the names of the columns; one row is one observation, 
 of time. An input may have one column ``t_s`` in place of two: a row is then the mean
 since the row before, and the first row only says when the first interval starts; where rows
 are missing, the scenario's [gaps] says what is done. Times are those of any clock: its [time]
-origin is taken off them. A table may be Parquet instead. A folder made by hand needs no ``dataset.toml``; where there is
-one, every table that it lists must still be as it was written.
+origin is taken off them. A table may be Parquet instead. A folder made by hand needs no
+``dataset.toml``; where there is one, every table that it lists must still be as it was written.
 """
 
 from __future__ import annotations

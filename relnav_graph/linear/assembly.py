@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +32,7 @@ from relnav_graph.linear.tables import (
     WHITEN,
     WIDTH,
     Z_DATA,
+    Store,
     Tables,
 )
 from relnav_graph.linear.whitening import (
@@ -64,25 +64,6 @@ class MeasurementRows:
     r: Array
     H: Array
     status: Indices
-
-
-class _Store:
-    """Collects arrays into one long vector, and says where each of them stands in it."""
-
-    def __init__(self, dtype: Any) -> None:
-        self.dtype, self.size = dtype, 0
-        self.parts: list[NDArray[Any]] = []
-
-    def add(self, values: Any) -> tuple[int, int]:
-        """Append values of any shape, row by row; returns where they begin and end."""
-        part = np.ascontiguousarray(values, dtype=self.dtype).reshape(-1)
-        self.parts.append(part)
-        self.size += len(part)
-        return self.size - len(part), self.size
-
-    def array(self) -> Any:
-        """All that was added, (size,)."""
-        return np.concatenate([np.zeros(0, self.dtype), *self.parts])
 
 
 def process_rows(layout: Layout, x_next: Array, x1: Array, F: Array, whiten: Array) -> ProcessRows:
@@ -120,7 +101,7 @@ class Assembly:
         self.layout = layout
         self.sensor_names = tuple(sensors)
         self._sensors, self._processes = dict(sensors), dict(processes)
-        numbers, places = _Store(np.float64), _Store(np.int64)
+        numbers, places = Store(np.float64), Store(np.int64)
         sensor_table = np.zeros((len(sensors), 8), dtype=np.int64)
         for i, sensor in enumerate(sensors.values()):
             gather, columns = layout.gather(sensor.reads)
@@ -157,7 +138,7 @@ class Assembly:
         self.times = np.array([e.t for e in epochs])
         starts = self.times[:-1] if t_before is None else np.array([t_before, *self.times[:-1]])
         sensor_table, process_table, places, constants = self._models
-        numbers = _Store(np.float64)
+        numbers = Store(np.float64)
         numbers.add(constants)
         observations = self._stack_observations(epochs, numbers)
         intervals = np.zeros((len(starts), len(process_table), 3), dtype=np.int64)
@@ -188,7 +169,7 @@ class Assembly:
         models = problem.layout, problem.processes, problem.sensors
         return cls(*models, problem.epochs, checked=True)
 
-    def _stack_observations(self, epochs: Sequence[Epoch], numbers: _Store) -> Indices:
+    def _stack_observations(self, epochs: Sequence[Epoch], numbers: Store) -> Indices:
         """The table of observations; their data go to the numbers, sensor by sensor."""
         flat = [(k, m) for k, epoch in enumerate(epochs) for m in epoch.measurements]
         sizes = np.array([len(m.z) for _, m in flat], dtype=np.int64)

@@ -6,9 +6,11 @@ integers for each sensor, observation, process and interval says where its own n
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba import types
+from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
@@ -21,6 +23,7 @@ from relnav_graph.compiled.contracts import (
 
 __all__ = [
     "TABLES",
+    "Store",
     "Tables",
     "rows_of",
 ]
@@ -59,6 +62,25 @@ SENSOR, EPOCH, ROW, Q_DATA, Z_DATA, WHITEN = 0, 1, 2, 3, 5, 7  # of observations
 # Of intervals, for each process: where u begins, its number of rows, and whether their spreads
 # (rows, channels) follow.
 U_DATA, U_ROWS, SPREAD = 0, 1, 2
+
+
+class Store:
+    """Collects arrays into one long vector, and says where each of them stands in it."""
+
+    def __init__(self, dtype: Any) -> None:
+        self.dtype, self.size = dtype, 0
+        self.parts: list[NDArray[Any]] = []
+
+    def add(self, values: Any) -> tuple[int, int]:
+        """Append values of any shape, row by row; returns where they begin and end."""
+        part = np.ascontiguousarray(values, dtype=self.dtype).reshape(-1)
+        self.parts.append(part)
+        self.size += len(part)
+        return self.size - len(part), self.size
+
+    def array(self) -> Any:
+        """All that was added, (size,)."""
+        return np.concatenate([np.zeros(0, self.dtype), *self.parts])
 
 
 @jit
