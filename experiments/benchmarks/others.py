@@ -19,7 +19,7 @@ from relnav_graph.estimators.ekf import run_filter
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.linear.assembly import MeasurementRows
 from relnav_graph.linear.elimination import anchor_of, linearize
-from relnav_graph.linear.rows import ProcessRows
+from relnav_graph.linear.intervals import ProcessRows
 
 from .batch import solve_ours
 from .passes import SAME, Pass, seconds

@@ -35,7 +35,7 @@ from relnav_graph.estimators.weights import count_downweighted, count_rejected, 
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.elimination import Anchor, Conditionals
 from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
-from relnav_graph.linear.rows import process_rows
+from relnav_graph.linear.intervals import process_rows
 
 __all__ = ["IncrementalSmoother", "Isam2"]
 

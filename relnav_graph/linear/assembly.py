@@ -23,6 +23,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.linear import rows
+from relnav_graph.linear.intervals import ProcessRows, process_rows
 from relnav_graph.linear.tables import (
     EPOCH,
     Q_DATA,
@@ -374,10 +375,10 @@ class Assembly:
             inverse_cholesky(f"process {name!r}", Q[failure[0]][np.ix_(own, own)])
         return whiten
 
-    def process(self, x: Array, whiten: Array) -> rows.ProcessRows:
+    def process(self, x: Array, whiten: Array) -> ProcessRows:
         """Whitened rows of all intervals between the states x (M + 1, size).
 
         whiten: (M, n, n). Raises as :meth:`transition` does.
         """
         x_next, F, _ = self.transition(np.ascontiguousarray(x[:-1]))
-        return rows.process_rows(self.layout, x_next, x[1:], F, whiten)
+        return process_rows(self.layout, x_next, x[1:], F, whiten)

@@ -29,7 +29,8 @@ from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.rows import interval_row, observe, propagate
+from relnav_graph.linear.intervals import interval_row
+from relnav_graph.linear.rows import observe, propagate
 from relnav_graph.linear.tables import TABLES, Tables
 from relnav_graph.linear.whitening import inverse_cholesky
 from relnav_graph.maths import dense

@@ -15,7 +15,7 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.linear.assembly import Assembly, MeasurementRows
 from relnav_graph.linear.elimination import Anchor, Conditionals
-from relnav_graph.linear.rows import ProcessRows
+from relnav_graph.linear.intervals import ProcessRows
 
 __all__ = [
     "Rows",

@@ -25,7 +25,7 @@ from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.rows import process_rows
+from relnav_graph.linear.intervals import process_rows
 
 __all__ = ["insert_block", "measurement_factor", "process_factor", "read_block"]
 

@@ -18,7 +18,7 @@ from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import EstimationError, ModelError
 from relnav_graph.estimators import run_estimator
-from relnav_graph.linear.rows import process_rows
+from relnav_graph.linear.intervals import process_rows
 from relnav_graph.maths import so3
 from relnav_graph.scenario.first_estimate import hypotheses, initialise
 
