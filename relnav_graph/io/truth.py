@@ -111,10 +111,11 @@ def _at_epochs(table: Table, block: Block, t: Array, values: Array, epochs: Arra
         )
     elif not same.all():
         unknown = int((~(same | made)).sum())
+        missed = f"{_missed(block, t, values):.2g} {block.table_unit}"
         _LOG.info(
-            f"{table.path}: of {len(epochs)} epochs {int(made.sum())} lie between its rows and are"
-            f" interpolated (left out, its own rows would be missed by"
-            f" {_missed(block, t, values):.2g} {block.table_unit}), {unknown} lie outside or in gaps"
+            f"{table.path}: of {len(epochs)} epochs {int(made.sum())} are between its rows and"
+            f" interpolated (left out, its own rows would be missed by {missed}), {unknown} are"
+            " outside or in gaps"
         )
     return found
 
