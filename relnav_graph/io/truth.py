@@ -116,8 +116,8 @@ def _at_epochs(table: Table, block: Block, t: Array, values: Array, epochs: Arra
     elif not same.all():
         unknown = int((~(same | made)).sum())
         _LOG.info(
-            f"{table.path}: of {len(epochs)} epochs {int(made.sum())} lie between its rows and are"
-            f" interpolated{_missed(block, t, values)}, {unknown} lie outside or in gaps"
+            f"{table.path}: of {len(epochs)} epochs {int(made.sum())} are between its rows and"
+            f" interpolated{_missed(block, t, values)}, {unknown} are outside or in gaps"
         )
     return found
 

@@ -75,7 +75,9 @@ class StudyFolder:
             self.rerun = found.pop("rerun") or rerun
             if json.dumps(found) != json.dumps(manifest):
                 text = _difference("", found, manifest) or "the tables are in another order"
-                raise InputError(f"{path}: holds another study: {text}; give another folder")
+                raise InputError(
+                    f"{path / 'study.json'}: holds another study: {text}; give another folder"
+                )
             return
         if path.is_dir() and any(path.iterdir()):
             raise InputError(f"{path}: is not empty, and holds no study; give another folder")

@@ -85,11 +85,13 @@ class _Failed:
 
 
 def _sizes(found: _Done) -> dict[str, tuple[int, ...]]:
-    """Sizes of the series that belong to the rows of a run, without that over bins."""
-    sizes: dict[str, tuple[int, ...]] = {}
+    """Sizes of the series that a run must have, without that over bins: of each state, and of
+    all jointly, squared error, NEES and trace."""
+    sizes: dict[str, tuple[int, ...]] = {
+        f"bound {kind}": (len(states) + 1, 3) for kind, states in found.bound.items()
+    }
     for name, row in found.rows.items():
         if row.status != "diverged":
-            # Of each state and of all jointly: squared error, NEES, trace.
             sizes |= {name: (len(row.states) + 1, 3), f"nis {name}": (len(row.innovations),)}
     return sizes
 
@@ -115,14 +117,13 @@ def check_record(where: str, text: bytes, series: Mapping[str, Array]) -> dict[s
     for name, count in coupled.items():
         if name in series and series[name].shape != (count, count):
             raise InputError(f"{where}: damaged: {name}: found {series[name].shape}, of {count}")
-    sizes = _sizes(found)
-    for name in [*sizes, *(f"bound {kind}" for kind in found.bound)]:
+    for name, size in _sizes(found).items():
         if name not in series:
             raise InputError(f"{where}: damaged: no series {name!r}")
         shape = series[name].shape
-        if name in sizes and shape[:-1] != sizes[name]:
+        if len(shape) != len(size) + 1 or shape[:-1] != size:
             raise InputError(
-                f"{where}: damaged: series {name!r}: found {shape[:-1]}, expected {sizes[name]}"
+                f"{where}: damaged: series {name!r}: found {shape}, expected {(*size, 'bins')}"
             )
     untimed = [name for name in found.rows if name not in found.timing]
     if untimed:

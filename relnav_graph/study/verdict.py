@@ -101,7 +101,7 @@ def _cause_text(noise: Mapping[str, Any], owners: Mapping[str, str]) -> str:
     factor, (low, high) = noise["factor"], noise["factor_ci"]
     size = "too small" if factor > 1 else "too large"
     if factor < 1:
-        low, factor, high = 1 / high, 1 / max(factor, 1e-9), 1 / max(low, 1e-9)
+        low, factor, high = (1 / max(v, 1e-9) for v in (high, factor, low))
     upper = f"{high:.2f}" if high < 1e6 else "more"
     return (
         f"{noise['noise']} is declared {factor:.2f} times {size} ({low:.2f} to {upper}):"
