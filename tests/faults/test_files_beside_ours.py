@@ -29,7 +29,7 @@ from relnav_graph.io.netcdf import Group, Variable, read_groups, write_groups
 from relnav_graph.io.results import read_results, write_csv, write_results
 from relnav_graph.report.contents import read_contents
 from relnav_graph.study.folder import StudyFolder
-from relnav_graph.study.record import Record
+from relnav_graph.study.record import RunRecord
 
 Capture = pytest.CaptureFixture[str]
 OTHERS = (None, True, -1, 0.5, 10**400, "", "../../x", "a\0b", [], [1], {"a": 1})
@@ -131,14 +131,16 @@ def test_row_34_a_copy_of_a_record(made: Path, tmp_path: Path, capsys: Capture, 
 
 def test_row_34_any_field_of_a_record(made: Path) -> None:
     content = (made / "study" / "runs" / "000000.npz").read_bytes()
-    record = Record.from_bytes(content, "r")
-    assert Record.from_bytes(record.to_bytes(), "r").scalars == record.scalars
+    record = RunRecord.from_bytes(content, "r")
+    assert RunRecord.from_bytes(record.to_bytes(), "r").scalars == record.scalars
     refused = 0
     for at in list(_places(record.scalars))[::3]:
         for value in OTHERS:
             changed: Any = _changed(record.scalars, at, value)
             try:
-                Record.from_bytes(Record(changed, record.series).to_bytes(), "runs/000000.npz")
+                RunRecord.from_bytes(
+                    RunRecord(changed, record.series).to_bytes(), "runs/000000.npz"
+                )
             except InputError as error:
                 refused += 1
                 assert str(error).startswith("runs/000000.npz: damaged: ")  # noqa: PT017
@@ -149,7 +151,9 @@ def test_row_34_any_field_of_a_record(made: Path) -> None:
             if array is None:
                 del series[name]
             with pytest.raises(InputError, match=r"runs/000000\.npz: damaged: .*"):
-                Record.from_bytes(Record(record.scalars, series).to_bytes(), "runs/000000.npz")
+                RunRecord.from_bytes(
+                    RunRecord(record.scalars, series).to_bytes(), "runs/000000.npz"
+                )
 
 
 def test_row_34_results_with_flipped_bytes_never_reach_hdf5(made: Path, tmp_path: Path) -> None:
