@@ -32,7 +32,7 @@ from relnav_graph.study.folder import StudyFolder
 from relnav_graph.study.record import RunRecord
 
 Capture = pytest.CaptureFixture[str]
-OTHERS = (None, True, -1, 0.5, 10**400, "", "../../x", "a\0b", [], [1], {"a": 1})
+OTHERS: tuple[Any, ...] = (None, True, -1, 0.5, 10**400, "", "../../x", "a\0b", [], [1], {"a": 1})
 RESULTS = "relnav-graph results", 1
 
 
@@ -147,7 +147,7 @@ def test_row_34_any_field_of_a_record(made: Path) -> None:
     assert refused > 100
     for name in record.series:
         for array in (np.zeros(3), np.array(["a"]), None):
-            series = {**record.series, name: array}
+            series: dict[str, Any] = {**record.series, name: array}
             if array is None:
                 del series[name]
             with pytest.raises(InputError, match=r"runs/000000\.npz: damaged: .*"):
