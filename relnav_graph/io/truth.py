@@ -89,7 +89,7 @@ def _missed(block: Block, t: Array, values: Array) -> float:
     """By how much, in table units (a norm over the axes, rms), every second row is missed when
     it is left out and interpolated: far more than what lies between all rows is."""
     found = between(block, t[::2], values[::2], t[1::2])
-    known = np.isfinite(found.reshape(len(found), -1)).all(axis=1)
+    known = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
     if not known.any():
         return np.nan
     d = block.local(found[known], values[1::2][known])

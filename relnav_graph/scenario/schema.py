@@ -50,12 +50,6 @@ def _checked_bound(value: float | str) -> float | str:
     return value
 
 
-def _checked_title(value: str) -> str:
-    if not set("".join(value.split())).isdisjoint(map(chr, range(32))):  # no file holds a NUL
-        raise InputError(f"found {value!r}, expected text without control characters")
-    return value
-
-
 MISSING = "missing, and required"
 Seconds = Annotated[float, Quantity("s", positive=True)]
 Bound = Annotated[float | str, AfterValidator(_checked_bound)]
@@ -170,7 +164,7 @@ class ScenarioFile(BaseModel):
 
     model_config = _STRICT
 
-    title: Annotated[str, AfterValidator(_checked_title)]
+    title: str
     description: str = ""
     seed: int = Field(default=0, ge=0)
     estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]
