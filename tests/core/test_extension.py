@@ -183,7 +183,7 @@ def test_command_line_runs_it_and_a_data_set_keeps_it(
         main(["simulate", str(path), "--seed", "4", "-o", str(folder)])
     assert (folder / "ranger.csv").read_text().startswith("t_s,id,range_m\n")
     with pytest.raises(SystemExit, match="0"):
-        main(["smooth", str(folder), "-o", str(out), "--json"])
+        main(["smooth", str(folder), "-o", str(out), "--json", "--trust"])
     stored = json.loads(capsys.readouterr().out)["estimators"]["batch"]["states"]
     assert direct["range_drift"]["unit"] == "m"
     assert stored == direct
