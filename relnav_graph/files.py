@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import stat
-from contextlib import suppress
 from pathlib import Path
 
 from relnav_graph.errors import InputError
+from relnav_graph.memory import check_room
 
-__all__ = ["check_memory", "check_name", "printable", "read_file"]
+__all__ = ["check_name", "file_in", "printable", "read_file"]
 
-#: Where Linux says how much memory a container may use.
-_CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+#: Of a sensor, an input, a process, a table: also a file, a key in lines of JSON, a label.
 _NAME = re.compile(r"\w[\w.+-]*")
 _KINDS = {
     stat.S_IFDIR: "a folder",
@@ -23,30 +21,6 @@ _KINDS = {
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
 }
-
-
-def _memory() -> float:
-    """Bytes of memory that this process may use."""
-    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
-    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    limits += [] if soft == resource.RLIM_INFINITY else [soft]
-    for path in _CGROUPS:
-        with suppress(OSError, ValueError):
-            limits.append(int(Path(path).read_text("ascii")))
-    return float(min(limits))
-
-
-def check_memory(what: str, size: float) -> None:
-    """Raise InputError when `size` bytes, of `what`, are more than half of this machine's memory.
-
-    To be asked before they are taken: a system that overcommits gives them, and kills later.
-    """
-    there = _memory()
-    if not size <= there / 2:
-        raise InputError(
-            f"{what}: would take {size / 2**30:.3g} GiB of memory, expected at most"
-            f" {there / 2**31:.3g} GiB, half of what there is"
-        )
 
 
 def check_name(what: str, name: str, longest: int = 48) -> None:
@@ -60,6 +34,14 @@ def check_name(what: str, name: str, longest: int = 48) -> None:
             f"found {name[:60]!r} as the name of {what}, expected letters, digits, _ and, not"
             f" first, . + -; {longest} at most"
         )
+
+
+def file_in(folder: str | os.PathLike[str], name: str) -> Path:
+    """The path of a file in a folder. Raises InputError when its name is a path itself, which
+    could lead out of the folder."""
+    if not name or name in (".", "..") or "/" in name or "\0" in name or len(name) > 200:
+        raise InputError(f"{folder}: {name[:200]!r} cannot name a file in it")
+    return Path(folder) / name
 
 
 def printable(text: str) -> str:
@@ -79,20 +61,22 @@ def read_file(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     path = Path(path)
     try:
         # Opening a pipe would else wait for somebody to write.
-        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
-            status = os.fstat(stream.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
-                raise InputError(f"{path}: is {kind}, expected a file")
-            if most is not None and status.st_size > most:
-                raise InputError(
-                    f"{path}: found {status.st_size} bytes, expected at most {most} of such a file"
-                )
-            check_memory(str(path), status.st_size)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:  # a NUL in the name
+        raise InputError(f"{str(path)!r}: cannot be read: {error}") from error
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+            raise InputError(f"{path}: is {kind}, expected a file")
+        if most is not None and status.st_size > most:
+            raise InputError(f"{path}: found {status.st_size} bytes, expected at most {most}")
+        check_room(f"a file, {path}, whose bytes", status.st_size / 8)
+        with open(descriptor, "rb", closefd=False) as stream:
             return stream.read(status.st_size)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:  # NUL in the name
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{str(path)!r}: cannot be read: {error}") from error
+    finally:
+        os.close(descriptor)

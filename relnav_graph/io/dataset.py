@@ -15,6 +15,8 @@ since the row before, and the first row only says when the first interval starts
 are missing, the scenario's [gaps] says what is done. Times are those of any clock: its [time]
 origin is taken off them. A table may be Parquet instead. A folder made by hand needs no
 ``dataset.toml``; where there is one, every table that it lists must still be as it was written.
+Truth is interpolated at the epochs between its rows, see `relnav_graph.io.truth`. The scenario of
+a data set may name no module ("module:Class"), which is code, unless it is trusted.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.files import check_name, read_file
+from relnav_graph.files import file_in, read_file
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.tabular import (
     Format,
@@ -136,12 +138,12 @@ def _manifest(folder: Path) -> dict[str, Any]:
     if digests.pop("settings", None) != _digest(tomli_w.dumps(settings).encode()):
         raise InputError(f"{path}: [settings] changed since it was written")
     for name, digest in digests.items():
-        check_name(f"a table in {path}, [sha256]", name, _LONGEST)
-        if not (folder / name).exists():
-            raise InputError(f"{folder / name}: missing, though dataset.toml lists it")
-        if _digest(read_file(folder / name)) != digest:
+        file = file_in(folder, name)
+        if not file.exists():
+            raise InputError(f"{file}: missing, though dataset.toml lists it")
+        if _digest(read_file(file)) != digest:
             raise InputError(
-                f"{folder / name}: truncated or changed since it was written; if on purpose,"
+                f"{file}: truncated or changed since it was written; if on purpose,"
                 " take its line out of dataset.toml"
             )
     return manifest

@@ -28,8 +28,9 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
-from relnav_graph.files import check_memory, printable, read_file
+from relnav_graph.files import printable, read_file
 from relnav_graph.io.atomic import atomic
+from relnav_graph.memory import check_room
 
 __all__ = ["Attributes", "Group", "Variable", "read_groups", "write_groups"]
 
@@ -124,7 +125,7 @@ def _read_attributes(attributes: Mapping[str, Any]) -> Attributes:
 
 
 def _read_variable(source: Any) -> Variable:
-    check_memory(source.name, 8.0 * math.prod(source.shape))
+    check_room(f"{source.shape} numbers of {source.name}", math.prod(map(float, source.shape)))
     return Variable(source.dimensions, np.asarray(source[...]), _read_attributes(source.attrs))
 
 

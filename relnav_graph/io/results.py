@@ -12,7 +12,6 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -24,6 +23,7 @@ from relnav_graph.core.cautions import Caution
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Kind, Status, Track, Truth
 from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.files import file_in
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
 from relnav_graph.io.stored import Count, check_json
@@ -305,8 +305,7 @@ def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
     the frame's letters. Raises InputError when a file cannot be written, or would lie elsewhere.
     """
     for track in tracks:
-        if Path(track.name).name != track.name:
-            raise InputError(f"{folder}: {track.name!r} cannot name a table in it")
+        file_in(folder, f"{track.name}.csv")
     for track in tracks:
         columns = {"t_s": track.t}
         for block in track.layout:
@@ -318,7 +317,7 @@ def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
                 columns[f"{block.name}_{name}"] = values
             for name, values in zip(_tangent_columns(block), sigmas.T, strict=True):
                 columns[f"sigma_{block.name}_{name}"] = values
-        with atomic(Path(folder) / f"{track.name}.csv") as staged:
+        with atomic(file_in(folder, f"{track.name}.csv")) as staged:
             write_table(staged, columns)
         if track.smoothed is not None:
             write_csv(folder, [replace(track.smoothed, name=f"{track.name}_smoothed")])

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
-from relnav_graph.files import check_memory, check_name, read_file
+from relnav_graph.files import file_in, read_file
 from relnav_graph.maths import dense, so3
+from relnav_graph.memory import check_room
 
 __all__ = [
     "Format",
@@ -113,7 +114,8 @@ class Table:
 
 def _text(path: Path) -> str:
     content = read_file(path)
-    check_memory(str(path), 6.0 * len(content))  # what rows of short texts come to
+    # What rows of short texts come to is six times as much.
+    check_room(f"a table, {path}, whose rows", 6 / 8 * len(content))
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -210,7 +212,7 @@ def _read_parquet(path: Path) -> Table:
     try:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
         size = file.metadata.num_rows, file.metadata.num_columns
-        check_memory(str(path), 8.0 * size[0] * size[1])
+        check_room(f"a table, {path}, whose rows", float(size[0]) * size[1])
         names = _header(path, 1, file.schema_arrow.names)
         table = file.read()
         columns = {
@@ -230,8 +232,7 @@ def read_table(folder: Path, stem: str) -> Table | None:
     Raises InputError, naming file, line and column, on a file that is no table of numbers, and
     on a name that is a path.
     """
-    check_name(f"a table in {folder}", stem, 200)
-    found = [p for p in (folder / f"{stem}.csv", folder / f"{stem}.parquet") if p.exists()]
+    found = [p for end in ("csv", "parquet") if (p := file_in(folder, f"{stem}.{end}")).exists()]
     if len(found) > 1:
         raise InputError(f"{folder}: found both {found[0].name} and {found[1].name}")
     if not found:

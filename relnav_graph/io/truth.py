@@ -92,7 +92,7 @@ def _missed(block: Block, t: Array, values: Array) -> str:
     if len(t) < 3:
         return ""
     found = between(block, t[::2], values[::2], t[1::2])
-    known = np.isfinite(found.reshape(len(found), -1)).all(axis=1)
+    known = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
     if not known.any():
         return ""
     d = block.local(found[known], values[1::2][known])

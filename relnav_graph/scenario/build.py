@@ -17,7 +17,8 @@ from relnav_graph.core.state import Layout
 from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.estimators import find_estimator
-from relnav_graph.files import check_memory, check_name, printable
+from relnav_graph.files import check_name, printable
+from relnav_graph.memory import check_room
 from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior
 from relnav_graph.scenario.scenario import Scenario
@@ -128,7 +129,7 @@ def _check_room(
             asked.append((f"inputs.{name}.period", what, 20 * samples))
     for path, found, numbers in asked:
         try:
-            check_memory(found, 8 * numbers)
+            check_room(found, numbers)
         except InputError as error:
             problems.append((path, str(error)))
 

@@ -52,12 +52,6 @@ def _checked_bound(value: float | str) -> float | str:
     return value
 
 
-def _checked_title(value: str) -> str:
-    if not set("".join(value.split())).isdisjoint(map(chr, range(32))):  # no file holds a NUL
-        raise InputError(f"found {value!r}, expected text without control characters")
-    return value
-
-
 #: Characters of a message.
 _LONGEST = 1000
 MISSING = "missing, and required"
@@ -218,7 +212,7 @@ class ScenarioFile(BaseModel):
 
     model_config = _STRICT
 
-    title: Annotated[str, AfterValidator(_checked_title)]
+    title: str
     description: str = ""
     seed: int = Field(default=0, ge=0)
     estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]

@@ -21,7 +21,7 @@ from relnav_graph.core.contracts import Derived
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Track
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.files import check_memory
+from relnav_graph.memory import check_room
 from relnav_graph.runs.comparison import Estimated
 from relnav_graph.scoring.bounds import bounds, true_trajectory
 from relnav_graph.scoring.deviations import (
@@ -70,7 +70,8 @@ class RunRecord:
         """The inverse of :meth:`to_bytes`. Raises InputError on damaged content."""
         try:
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
-                check_memory(where, sum(member.file_size for member in archive.infolist()))
+                size = sum(member.file_size for member in archive.infolist())
+            check_room(f"a record, {where}, whose arrays", size / 8)
             with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
                 series = {name: arrays[name] for name in arrays.files}
             text = series.pop("scalars").tobytes()

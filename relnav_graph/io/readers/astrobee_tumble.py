@@ -15,9 +15,11 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -26,6 +28,7 @@ from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.files import read_file
 from relnav_graph.maths import dense, so3
 from relnav_graph.sim.truths.inertial import inertia_parameters
 
@@ -117,8 +120,10 @@ def _topic(
 
 def _read(path: Path) -> tuple[list[str], list[list[str]]]:
     """The header and the rows of a CSV file, packed or not."""
+    content: IO[bytes] = io.BytesIO(read_file(path))
     try:
-        with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as stream:
+        packed = gzip.GzipFile(fileobj=content) if path.suffix == ".gz" else content
+        with io.TextIOWrapper(packed, "utf-8") as stream:
             rows = [row for row in csv.reader(stream) if row]
     except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: not a readable CSV table: {error}") from error

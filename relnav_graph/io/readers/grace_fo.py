@@ -19,6 +19,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.files import read_file
 
 __all__ = ["read"]
 
@@ -101,8 +102,8 @@ def _row(path: Path, number: int, line: str) -> list[float]:
 
 def _orbit(path: Path) -> _Orbit:
     try:
-        lines = path.read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_file(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a readable text: {error}") from error
     name, skip = _header(path, lines)
     numbers = [n for n, line in enumerate(lines, 1) if n > skip and line.strip()]

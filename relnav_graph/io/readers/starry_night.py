@@ -13,6 +13,7 @@ over an interval is ``log(R_tc,k^T R_tc,k+1) / dt``.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from itertools import permutations
 from pathlib import Path
@@ -26,6 +27,7 @@ from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.state import check_rotation
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.files import read_file
 from relnav_graph.maths import dense, so3
 
 __all__ = ["read"]
@@ -39,8 +41,9 @@ def _load(folder: Path) -> tuple[Path, dict[str, Any]]:
     files = sorted(folder.glob("*.mat"))
     if len(files) != 1:
         raise InputError(f"{folder}: found {len(files)} files *.mat, expected one")
+    content: Any = io.BytesIO(read_file(files[0]))
     try:
-        return files[0], loadmat(files[0])
+        return files[0], loadmat(content)
     except Exception as error:  # a damaged file raises whatever its bytes lead scipy to
         raise InputError(f"{files[0]}: not a readable MATLAB v5 file: {error}") from error
 

@@ -13,19 +13,20 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
-from relnav_graph.files import check_memory
+from relnav_graph.memory import check_room
 from relnav_graph.sim.contracts import IntervalInstrument, KnownInput
 
 __all__ = ["IntervalInputs", "check_samples"]
 
-#: Bytes that a sample takes while it is drawn: noises, biases, readings, each of three axes.
-_SAMPLE = 240.0
+#: Numbers that a sample takes while it is drawn: noises, biases, readings, each of three axes.
+_SAMPLE = 30.0
 
 
 def check_samples(name: str, source: Any, t0: float, t1: float) -> None:
     """Raise InputError when the samples of an input from t0 to t1, s, do not fit in memory."""
     period = getattr(source, "period", np.inf)
-    check_memory(f"inputs.{name}.period = {period} s", _SAMPLE * (t1 - t0) / period)
+    samples = (t1 - t0) / period
+    check_room(f"inputs.{name}.period = {period} s, {samples:.3g} samples", _SAMPLE * samples)
 
 
 class IntervalInputs:

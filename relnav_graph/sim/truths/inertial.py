@@ -15,9 +15,9 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
-from relnav_graph.files import check_memory
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import TRACELESS, check_inertia, second_moments
+from relnav_graph.memory import check_room
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
 from relnav_graph.sim.truths.rigid_body_pair import OrbitElements, checked_times
 from relnav_graph.units import Quantity, check_fields
@@ -112,7 +112,7 @@ class TumblingBody:
         for dt in np.diff(t, prepend=0.0):
             check_steps("truth", float(dt), self.max_step)
             steps = np.ceil(dt / self.max_step * (1 - 1e-12))
-            check_memory(f"truth.max_step {self.max_step} s, {steps:.3g} steps", 48 * steps)
+            check_room(f"truth.max_step {self.max_step} s, {steps:.3g} steps", 6 * steps)
             count = int(steps)
             h = dt / max(count, 1)
             disturbance = rng.standard_normal((count, 6)) * density / np.sqrt(h or 1.0)

@@ -16,9 +16,9 @@ from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
-from relnav_graph.files import check_memory
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import check_inertia
+from relnav_graph.memory import check_room
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
 from relnav_graph.units import Quantity, check_fields
 
@@ -147,7 +147,7 @@ class RigidBodyPair(OrbitElements):
         check_steps("truth", float(spans.max()), self.max_step)
         # The margin keeps a span of 10 s, rounded up, from taking one step more.
         steps = np.ceil(spans / self.max_step * (1 - 1e-12))
-        check_memory(f"truth.max_step {self.max_step} s, {steps.sum():.3g} steps", 48 * steps.sum())
+        check_room(f"truth.max_step {self.max_step} s, {steps.sum():.3g} steps", 6 * steps.sum())
         counts = steps.astype(np.int64)
         h = spans / np.maximum(counts, 1)
         density = np.repeat([self.torque_density, self.acceleration_density], 3)
