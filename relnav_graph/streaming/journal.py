@@ -1,7 +1,7 @@
 """A journal of a stream: all lines received, so that a killed run resumes with the same result.
 
 A folder of segments ``00000000.journal``, ``00000001.journal``, ...; only the last one is
-written to, and only at its end. A segment is the line ``relnav-journal 1``, then records::
+written to, and only at its end. A segment is the line ``relnav-journal 2``, then records::
 
     type (1 byte)  length (4, little-endian)  CRC-32 of type and content (4)
     CRC-32 of these nine bytes (4)  content
@@ -43,7 +43,7 @@ __all__ = ["Journal", "JournalError", "Policy", "Record", "read_segment"]
 
 Policy = Literal["always", "interval", "never"]
 Record = tuple[bytes, bytes]
-_MAGIC, _VERSION = b"relnav-journal ", 1
+_MAGIC, _VERSION = b"relnav-journal ", 2
 _HEAD = struct.Struct("<cII")
 _CHECK = struct.Struct("<I")
 _TYPES = (b"M", b"S", b"L", b"F", b"O")

@@ -13,10 +13,11 @@ from types import FrameType, TracebackType
 from typing import Any
 
 from relnav_graph.streaming.journal import Journal, JournalError, Record
-from relnav_graph.streaming.lines import Header, dump
+from relnav_graph.streaming.lines import Header
 from relnav_graph.streaming.output import Output
 from relnav_graph.streaming.saved import header_in
 from relnav_graph.streaming.session import Session
+from relnav_graph.streaming.writing import dump
 
 __all__ = ["Interrupted", "Interrupts", "Recorder", "journaled_header", "run"]
 
