@@ -73,6 +73,19 @@ def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile |
         return None
 
 
+def _check_settings(name: str, settings: Mapping[str, Any]) -> None:
+    """Settings are data, from a stream or a data set: they never name a module, which is code."""
+    found: Problems = []
+    for section, tables in settings.items():
+        for key, table in tables.items() if isinstance(tables, Mapping) else ():
+            kind = table.get("kind") if isinstance(table, Mapping) else None
+            if isinstance(kind, str) and ":" in kind:
+                message = f"found {kind!r} in the data; only a scenario file may name a module"
+                found.append((f"{section}.{key}.kind", message))
+    if found:
+        raise ScenarioError(name, found)
+
+
 def make_scenario(
     raw: Mapping[str, Any], name: str, settings: Mapping[str, Any] | None = None
 ) -> Scenario:
@@ -81,6 +94,7 @@ def make_scenario(
     Raises ScenarioError with everything that is wrong.
     """
     sections = {"processes", "sensors"}
+    _check_settings(name, settings or {})
     # Before the data are read, what they will bring may be missing, and nothing else.
     waiting = settings is None and "data" in raw
     merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
