@@ -70,10 +70,34 @@ def _relnav() -> None:
     """
 
 
+def _complete_descriptors() -> None:
+    """Put something in the place of a standard stream that the caller has closed.
+
+    Otherwise the next file to be opened, a journal say, would be taken for it. Where output
+    would go, what takes none: so it fails when something is written, and is not lost unsaid.
+    """
+    for descriptor, flags in (0, os.O_WRONLY), (1, os.O_RDONLY), (2, os.O_WRONLY):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, flags)  # takes the lowest number that is free
+            if descriptor == 1:
+                sys.stdout = os.fdopen(1, "w", encoding="utf-8")
+
+
+def _give_up_output() -> None:
+    """The last flush of standard output is not to complain of what was said already."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main(argv: list[str] | None = None) -> Any:
     """Run the command line; errors of the input end with exit code 2."""
     from relnav_graph.errors import RelnavError
 
+    _complete_descriptors()
     # Commands draw into files alone. A backend that a notebook has named for its processes, and
     # whose package is not here, would end matplotlib's import.
     os.environ["MPLBACKEND"] = "agg"
@@ -100,11 +124,11 @@ def main(argv: list[str] | None = None) -> Any:
         click.echo(f"error: {error}", err=True)
         sys.exit(2)
     except _ReaderLeft:
-        # Quietly, as a filter does whom SIGPIPE ends; nor may the last flush complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _give_up_output()  # quietly, as a filter does whom SIGPIPE ends
         sys.exit(128 + signal.SIGPIPE)
     except OSError as error:
         click.echo(f"error: {error}", err=True)
+        _give_up_output()
         sys.exit(2)
     except MemoryError as error:
         click.echo(f"error: not enough memory: {error or 'none left'}", err=True)

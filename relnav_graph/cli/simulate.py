@@ -9,7 +9,7 @@ import click
 from relnav_graph.cli.shared import show_events, show_progress
 from relnav_graph.io.dataset import Format, write_dataset
 from relnav_graph.scenario.build import load_scenario
-from relnav_graph.streaming.lines import recording_lines
+from relnav_graph.streaming.writing import recording_lines
 
 
 @click.command("simulate")

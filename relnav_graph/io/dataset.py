@@ -39,7 +39,7 @@ from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.files import file_in, read_file
+from relnav_graph.files import check_name, file_in, read_file
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.tabular import (
     Format,

@@ -207,6 +207,6 @@ def refuse_modules(where: str, tables: Mapping[str, Any]) -> None:
     import it is to run it, and data are not to say what runs."""
     for path, name in _modules("", tables):
         raise InputError(
-            f"{where}: {path}: found {name!r}, which has a module imported, and so run; data may"
-            " not, unless you trust them and say so (--trust)"
+            f"{where}: {path}: found {name!r}, which has a module imported, and so run; only a"
+            " scenario file may, or data that a command is told to --trust"
         )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.epochs import process_inputs
+from relnav_graph.core.epochs import process_inputs, stamped
 from relnav_graph.core.measurement import SAME_TIME, Bridge, InputSeries, Measurement
 from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
@@ -17,32 +17,44 @@ from relnav_graph.streaming.lines import InputSample
 
 __all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
 
+#: Samples of one input, and observations, that are kept until they become an epoch: memory stays
+#: flat, whatever comes.
+ROOM = 100_000
+
 
 class InputBuffer:
     """Samples of one input in order of time, whatever the order of arrival."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, channels: int) -> None:
+        self.name, self.channels = name, channels
         self.samples: list[InputSample] = []
 
-    def add(self, sample: InputSample) -> bool:
-        """Put a sample in its place; whether it is new. Raises InputError when it overlaps
-        another one."""
+    def add(self, sample: InputSample) -> None:
+        """Put a sample in its place. Raises InputError when it overlaps another one, or finds no
+        room."""
         k = bisect.bisect_left(self.samples, sample.t_start - SAME_TIME, key=lambda s: s.t_start)
         for other in self.samples[max(k - 1, 0) : k + 1]:
-            same = abs(np.array([other.t_start - sample.t_start, other.t_end - sample.t_end]))
-            if same.max() <= SAME_TIME and np.array_equal(other.values, sample.values):
-                return False
             if (
                 other.t_start < sample.t_end - SAME_TIME
                 and sample.t_start < other.t_end - SAME_TIME
             ):
                 raise InputError(
-                    f"found {sample.t_start} s to {sample.t_end} s, which overlaps"
+                    f"overlap: found {sample.t_start} s to {sample.t_end} s, which overlaps"
                     f" {other.t_start} s to {other.t_end} s"
                 )
+        if len(self.samples) >= ROOM:
+            raise InputError(f"full: {ROOM} samples wait for an epoch already")
         self.samples.insert(k, sample)
-        return True
+
+    def holds(self, sample: InputSample) -> bool:
+        """Whether the same sample is there already."""
+        k = bisect.bisect_left(self.samples, sample.t_start - SAME_TIME, key=lambda s: s.t_start)
+        return any(
+            abs(other.t_start - sample.t_start) <= SAME_TIME
+            and abs(other.t_end - sample.t_end) <= SAME_TIME
+            and np.array_equal(other.values, sample.values)
+            for other in self.samples[k : k + 1]
+        )
 
     def reach(self, t: float) -> float:
         """The time, s, up to which samples cover [t, ...] without a gap; t when none covers it."""
@@ -61,7 +73,7 @@ class InputBuffer:
         k = bisect.bisect_right(self.samples, t0 + SAME_TIME, key=lambda s: s.t_end)
         j = bisect.bisect_left(self.samples, t1 - SAME_TIME, key=lambda s: s.t_start)
         chosen = self.samples[max(k - 1, 0) : j + 1] if beside else self.samples[k:j]
-        values = np.array([s.values for s in chosen]).reshape(len(chosen), -1 if chosen else 0)
+        values = np.array([s.values for s in chosen]).reshape(len(chosen), self.channels)
         edges = np.array([(s.t_start, s.t_end) for s in chosen]).reshape(-1, 2)
         return InputSeries(self.name, edges[:, 0], edges[:, 1], values)
 
@@ -77,7 +89,7 @@ class InputBuffer:
             self.name,
             np.append(known.t_start, end),
             np.append(known.t_end, t1),
-            np.vstack([known.values.reshape(-1, len(values)), values]),
+            np.vstack([known.values, values]),
         )
 
     def drop(self, t: float) -> None:
@@ -129,11 +141,16 @@ class Inputs(dict[str, InputBuffer]):
 
 @dataclass
 class WaitingEpoch:
-    """Measurements of one time, not estimated yet; arrival: of the last of them, s."""
+    """Measurements of one time, not estimated yet; arrival: of the last of them, s; rows:
+    their observations."""
 
     t: float
     arrival: float
     measurements: list[Measurement] = field(default_factory=list)
+    rows: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rows = sum(len(m.z) for m in self.measurements)
 
 
 class Waiting:
@@ -143,11 +160,25 @@ class Waiting:
         self.merge = merge
         self.epochs: list[WaitingEpoch] = []
 
-    def at(self, t: float, arrival: float) -> WaitingEpoch:
-        """The epoch at t, s: one that waits and is close enough, or a new one."""
+    def add(self, t: float, arrival: float, m: Measurement | None = None) -> None:
+        """Let a measurement, if there is one, wait in the epoch at t, s: one that waits and is
+        close enough, or a new one. Raises InputError when it finds no room."""
         k = bisect.bisect_left(self.epochs, t - self.merge, key=lambda e: e.t)
-        if k == len(self.epochs) or self.epochs[k].t > t + self.merge:
-            self.epochs.insert(k, WaitingEpoch(t, arrival))
-        epoch = self.epochs[k]
+        new = k == len(self.epochs) or self.epochs[k].t > t + self.merge
+        if new and len(self.epochs) >= ROOM:
+            raise InputError(f"full: {ROOM} epochs wait for their inputs already")
+        epoch = WaitingEpoch(t, arrival) if new else self.epochs[k]
+        if m is not None and epoch.rows + len(m.z) > ROOM:
+            raise InputError(f"full: {ROOM} observations of that time wait already")
+        if new:
+            self.epochs.insert(k, epoch)
         epoch.arrival = max(epoch.arrival, arrival)
-        return epoch
+        if m is not None:
+            epoch.measurements.append(stamped(m, epoch.t))
+            epoch.rows += len(m.z)
+
+    def measured(self, t: float) -> list[Measurement]:
+        """What waits to be taken in at t, s."""
+        k = bisect.bisect_left(self.epochs, t - self.merge, key=lambda e: e.t)
+        there = k < len(self.epochs) and self.epochs[k].t <= t + self.merge
+        return self.epochs[k].measurements if there else []

@@ -1,7 +1,7 @@
 """A journal of a stream: all lines received, so that a killed run resumes with the same result.
 
 A folder of segments ``00000000.journal``, ``00000001.journal``, ...; only the last one is
-written to, and only at its end. A segment is the line ``relnav-journal 1``, then records::
+written to, and only at its end. A segment is the line ``relnav-journal 2``, then records::
 
     type (1 byte)  length (4, little-endian)  CRC-32 of type and content (4)
     CRC-32 of these nine bytes (4)  content
@@ -44,9 +44,12 @@ __all__ = ["Journal", "JournalError", "JournalRecord", "Policy", "read_segment"]
 Policy = Literal["always", "interval", "never"]
 #: Type and content.
 JournalRecord = tuple[bytes, bytes]
-_MAGIC, _VERSION = b"relnav-journal ", 1
+_MAGIC, _VERSION = b"relnav-journal ", 2
 _HEAD = struct.Struct("<cII")
 _CHECK = struct.Struct("<I")
+_SEGMENT = re.compile(r"\d{8}\.journal")
+_LEFTOVER = re.compile(r"\.\d{8}\.journal\.\w+")
+_OWN = re.compile(f"lock|{_SEGMENT.pattern}|{_LEFTOVER.pattern}")
 _TYPES = (b"M", b"S", b"L", b"F", b"O")
 
 
@@ -94,7 +97,7 @@ def read_segment(path: Path, last: bool) -> tuple[list[JournalRecord], int]:
                 raise JournalError(f"{path}: offset {at}: damaged: the head of a record")
             content = data[at + fixed : at + fixed + length]
             whole = len(content) == length
-        if not whole or not any(data[at:]):  # zeros: where a machine went down
+        if not whole or not any(memoryview(data)[at:]):  # zeros: where a machine went down
             if last:
                 break
             raise JournalError(f"{path}: offset {at}: damaged: the file stops within a record")
@@ -112,15 +115,16 @@ class Journal:
 
     snapshot, records: the state to resume from, and the records after it; snapshot is b"" for
     a new journal, which begins with :meth:`rotate`. identity: the run that it belongs to, as
-    keys and values. cut: bytes of a torn record that were removed. policy: when to sync.
-    Raises JournalError when it is damaged, of another version, or in use.
+    keys and values. cut: bytes of a torn record, removed by the first record written. policy:
+    when to sync. Raises JournalError when it is damaged, of another version, or in use, or when
+    the folder holds something else. No byte of what is there changes before something is written.
     """
 
     def __init__(self, folder: Path, policy: Policy) -> None:
         self.folder, self.policy = folder, policy
         self.identity: dict[str, Any] = {}
         self.cut = 0
-        self._file = -1
+        self._file, self._mended = -1, False
         self._lock = self._take()
         try:
             self.snapshot, self.records = self._open()
@@ -132,6 +136,13 @@ class Journal:
     def _take(self) -> int:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            names = sorted(p.name for p in self.folder.iterdir())
+            others = [name for name in names if not _OWN.fullmatch(name)]
+            if others and not self.segments():
+                raise JournalError(
+                    f"--journal {self.folder}: found {others[0]!r} and no journal, expected a new"
+                    " or empty folder"
+                )
             lock = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise JournalError(f"--journal {self.folder}: {error.strerror}") from error
@@ -144,21 +155,20 @@ class Journal:
 
     def segments(self) -> list[Path]:
         """Its segments, oldest first."""
-        return sorted(p for p in self.folder.iterdir() if re.fullmatch(r"\d{8}\.journal", p.name))
+        return sorted(p for p in self.folder.iterdir() if _SEGMENT.fullmatch(p.name))
 
     def _open(self) -> tuple[bytes, list[JournalRecord]]:
         segments = self.segments()
-        for leftover in self.folder.glob(".*.journal.*"):
-            shutil.rmtree(leftover)  # of a segment that a kill kept from being renamed
         if not segments:
             return b"", []
         path = segments[-1]
         records, end = read_segment(path, last=True)
-        self.identity = json.loads(records[0][1])
+        try:
+            self.identity = dict(json.loads(records[0][1]))
+        except (TypeError, ValueError) as error:
+            raise JournalError(f"{path}: damaged: what it belongs to: {error}") from error
         self.cut = path.stat().st_size - end
         self._file = os.open(path, os.O_RDWR)
-        if self.cut:
-            os.ftruncate(self._file, end)
         os.lseek(self._file, end, os.SEEK_SET)
         return records[1][1], records[2:]
 
@@ -172,8 +182,19 @@ class Journal:
                 )
         self.identity = dict(identity)
 
+    def _mend(self) -> None:
+        """Remove what a kill has left behind: a torn record, segments that were never renamed."""
+        if self._file >= 0 and self.cut:
+            os.ftruncate(self._file, os.lseek(self._file, 0, os.SEEK_CUR))
+        for leftover in self.folder.iterdir():
+            if _LEFTOVER.fullmatch(leftover.name):
+                shutil.rmtree(leftover)
+        self._mended = True
+
     def append(self, kind: bytes, content: bytes = b"") -> None:
         """Add a record. Raises JournalError, with no part of it written, when that fails."""
+        if not self._mended:
+            self._mend()
         data = _encode(kind, content)
         start = os.lseek(self._file, 0, os.SEEK_CUR)
         try:
@@ -198,6 +219,8 @@ class Journal:
     def rotate(self, snapshot: bytes) -> None:
         """Begin a new segment with a snapshot. Raises InputError when it cannot be written;
         the one before then stays the last."""
+        if not self._mended:
+            self._mend()
         segments = self.segments()
         number = int(segments[-1].stem) + 1 if segments else 0
         path = self.folder / f"{number:08d}.journal"

@@ -13,13 +13,31 @@ first, w >= 0. In come, in any order,
 
 - The first is the *header*, at most once and before all others; it may be missing. `prior`
   gives means at time `t` for blocks that the scenario has drawn about the truth, `settings`
-  what a recording brings for the scenario (camera constants, points).
+  what a recording brings for the scenario (camera constants, points): data, which never name
+  a module.
 - A *measurement*: what a sensor saw at its time of validity t, a row of `z` for each id.
 - An *input*: the mean of a known input over [t_start, t_end].
 - An *epoch*: an estimate is wanted at a time at which nothing was measured.
 - `t_arrival`: when it became known, on the same clock; without it, at its own time.
 - `n`: number of the line, increasing, where the writer counts. A line whose number is not
-  above the last one read is a repeat and skipped: so a sender may begin again from the start.
+  above that of the last one taken in is a repeat and skipped, unless its time is new: so a
+  sender may begin again from the start, or count anew.
+
+A stream has one *clock*: that of the header's `t`, or else of the first line taken in.
+
+- Times may come in any order within the window (`online.window`, or 30 epochs); what comes
+  later than that is refused ("late").
+- A time further than --max-gap from the newest one heard of, or beyond 1e10 s (milliseconds?),
+  is of another clock and refused ("clock"). What is refused moves no clock.
+- Where the times of arrival of a sensor or an input go back by more than the window, and run
+  on from there, they are refused until they jump forward again, also when they have come to
+  the newest time once more; a clock that was set for good begins a new stream. Within the
+  window a jump back cannot be told from lateness, unless a sensor gives another value for a
+  time and id that it has measured ("second value"), or an input one that overlaps ("overlap").
+- A jump forward by more than the window, and five times the steps before, is taken for a
+  silence: the state is propagated, with growing covariance.
+- Each of these jumps is said at once, by a line out that is DEGRADED (LOST before the first
+  estimate): once for each sensor or input, until a line of it is taken in again.
 
 Out goes a line for each epoch, and for each one that a late measurement improves:
 
@@ -42,49 +60,50 @@ Out goes a line for each epoch, and for each one that a late measurement improve
 - All times out are of the pass's clock: where the scenario has a [time] origin, that is taken
   off all times in, `t` of the header too.
 - `latency_ms`: computing time, from the last line in that it needed to this line.
-- `now`: with --predict-to-now, {"t": ..., "estimate": ...} at the newest time heard of that
-  the inputs reach.
+- `now`: with --predict-to-now, {"t": ..., "estimate": ...} at the newest time heard of; the
+  newest inputs go on to it. Where there are none, `estimate` is null and `message` says so.
+
+What waits to become an epoch is bounded: 100,000 samples of each input, epochs, and observations
+of one time; more is refused ("full").
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Iterator, Mapping
+import codecs
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 from pydantic_core import from_json
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Derived, Sensor
+from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.measurement import SAME_TIME, Measurement
-from relnav_graph.core.problem import Prior
-from relnav_graph.core.state import Block, Layout
-from relnav_graph.core.track import Recording
+from relnav_graph.core.state import UNIT_QUATERNION, Layout
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.io.tabular import from_components, to_components
+from relnav_graph.io.tabular import from_components
 from relnav_graph.scenario.schema import from_pydantic
+from relnav_graph.streaming.clock import LATEST, check_reasonable
 
 __all__ = [
     "Header",
     "InputSample",
     "LineError",
     "Tick",
-    "dump",
-    "estimate_object",
     "header_of",
-    "input_object",
-    "measurement_object",
     "parse_line",
     "prior_values",
-    "recording_lines",
 ]
 
 FORMAT, VERSION = "relnav-lines", 1
 #: A longer line is refused unread: nothing that a sensor sees at one time fills it.
 LONGEST = 1 << 20
+#: No kind of line has as many keys.
+MOST_KEYS = 20
+#: Larger values, SI, are of no instrument, and their powers overflow.
+LARGEST = 1e30
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +144,15 @@ class LineError(InputError):
         self.reason, self.sensor, self.t = reason, sensor, t
 
 
+#: One thing that is wrong is enough to say: a line may have a hundred thousand.
+_Entry = TypeVar("_Entry")
+_List = Annotated[list[_Entry], FailFast()]
+
+
 class _Line(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    n: int | None = Field(default=None, ge=0)
+    n: int | None = Field(default=None, ge=0, lt=2**63)
     t_arrival: float | None = None
 
 
@@ -138,22 +162,22 @@ class _HeaderLine(_Line):
     scenario: str = ""
     seed: int | None = None
     t: float | None = None
-    prior: dict[str, list[float]] = {}
+    prior: dict[str, _List[float]] = {}
     settings: dict[str, Any] = {}
 
 
 class _MeasurementLine(_Line):
     sensor: str
     t: float
-    id: list[Annotated[int, Field(ge=-(2**63), lt=2**63)]]
-    z: list[list[float]]
+    id: _List[Annotated[int, Field(ge=-(2**63), lt=2**63)]]
+    z: _List[_List[float]]
 
 
 class _InputLine(_Line):
     input: str
     t_start: float
     t_end: float
-    values: list[float]
+    values: _List[float]
 
 
 class _EpochLine(_Line):
@@ -168,12 +192,25 @@ _KINDS: dict[str, type[_Line]] = {
 }
 
 
+def _check_time(what: str, t: float) -> None:
+    if not np.isfinite(t):
+        raise InputError(f"found {what} {t}, expected a finite time")
+
+
+def _check_values(what: str, values: Array) -> None:
+    if not (np.abs(values) <= LARGEST).all():
+        raise InputError(f"found {what} {np.abs(values).max():.6g}, expected {LARGEST:g} at most")
+
+
 def _header(line: _HeaderLine) -> Header:
     if (line.format, line.version) != (FORMAT, VERSION):
         raise LineError(
             f"header: found format {line.format!r}, version {line.version}, expected"
             f" {FORMAT!r}, version {VERSION}"
         )
+    if line.t is not None:
+        _check_time("header.t", line.t)
+        check_reasonable(line.t)
     return Header(line.scenario, line.seed, line.t, line.prior, line.settings)
 
 
@@ -188,6 +225,7 @@ def _measurement(line: _MeasurementLine, sensors: Mapping[str, Sensor]) -> Measu
     if len(set(line.id)) < len(ids):
         raise InputError(f"found ids {line.id}, expected each one once")
     m = Measurement(line.sensor, line.t, np.array(line.z), ids, line.t_arrival)
+    _check_values("z", m.z)
     try:
         sensors[line.sensor].accept(m.z)
         sensors[line.sensor].observation_data(m.ids)
@@ -204,7 +242,10 @@ def _input(line: _InputLine, inputs: Mapping[str, tuple[str, ...]]) -> InputSamp
     values, columns = np.array(line.values), inputs[line.input]
     if len(values) != len(columns) or not np.isfinite(values).all():
         raise InputError(f"found values {line.values}, expected finite numbers {columns}")
-    if not np.isfinite([line.t_start, line.t_end]).all() or line.t_end <= line.t_start:
+    _check_values("values", values)
+    _check_time("t_start", line.t_start)
+    _check_time("t_end", line.t_end)
+    if line.t_end - line.t_start <= SAME_TIME:
         raise InputError(f"found {line.t_start} s to {line.t_end} s, expected times that run on")
     return InputSample(line.input, line.t_start, line.t_end, values, line.t_arrival)
 
@@ -214,24 +255,25 @@ def _checked(
 ) -> Header | Measurement | InputSample | Tick:
     if isinstance(line, _HeaderLine):
         return _header(line)
-    if line.t_arrival is not None and not np.isfinite(line.t_arrival):
-        raise InputError(f"found t_arrival {line.t_arrival}, expected a finite time")
+    if line.t_arrival is not None:
+        _check_time("t_arrival", line.t_arrival)
     if isinstance(line, _MeasurementLine):
         return _measurement(line, sensors)
     if isinstance(line, _InputLine):
         return _input(line, inputs)
     assert isinstance(line, _EpochLine)
-    if not np.isfinite(line.epoch):
-        raise InputError(f"found epoch {line.epoch}, expected a finite time")
+    _check_time("epoch", line.epoch)
     return Tick(line.epoch, line.t_arrival)
 
 
-def _named(raw: Mapping[str, Any]) -> tuple[str | None, float | None]:
-    """Sensor or input, and time, that a line which cannot be used names."""
+def _named(raw: Mapping[str, Any], origin: float) -> tuple[str | None, float | None]:
+    """Sensor or input, and time since `origin`, s, that a line which cannot be used names."""
     name = raw.get("sensor", raw.get("input"))
     t = raw.get("t", raw.get("t_end", raw.get("epoch")))
-    is_time = isinstance(t, int | float) and not isinstance(t, bool) and abs(t) < np.inf
-    return name if isinstance(name, str) else None, float(t) if is_time and t is not None else None
+    name = name if isinstance(name, str) else None
+    if not isinstance(t, int | float) or isinstance(t, bool) or not abs(t - origin) <= LATEST:
+        return name, None
+    return name, t - origin
 
 
 def _since(origin: float, line: _Line) -> _Line:
@@ -239,6 +281,39 @@ def _since(origin: float, line: _Line) -> _Line:
     times = ("t", "t_start", "t_end", "epoch", "t_arrival") if origin else ()
     found = {name: getattr(line, name, None) for name in times}
     return line.model_copy(update={n: t - origin for n, t in found.items() if t is not None})
+
+
+def _other_form(text: bytes) -> str:
+    """What a line belongs to that people take for lines of JSON, or ""."""
+    if text.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "UTF-16, expected UTF-8"
+    if text.strip() == b"{":
+        return "an object over many lines, expected an object on each line"
+    if text.lstrip().startswith(b"["):
+        return "an array, expected an object on each line"
+    return ""
+
+
+def _object(text: bytes) -> dict[str, Any]:
+    """The object that a line is, after the mark that some editors put before a first line.
+
+    Raises LineError, which says what is there instead.
+    """
+    text = text.removeprefix(codecs.BOM_UTF8)
+    try:
+        if len(text) > LONGEST:
+            raise ValueError(f"{len(text)} bytes, expected {LONGEST} at most")
+        if other := _other_form(text):
+            raise ValueError(other)
+        raw = from_json(text)
+        if not isinstance(raw, dict):
+            raise ValueError("expected an object")
+        if len(raw) > MOST_KEYS:
+            raise ValueError(f"{len(raw)} keys, expected {MOST_KEYS} at most")
+    except ValueError as error:
+        start = text[:60].decode("utf-8", "replace")
+        raise LineError(f"not a line of JSON: {error}; found {start!r}") from error
+    return raw
 
 
 def parse_line(
@@ -252,26 +327,18 @@ def parse_line(
     inputs: columns of each input, by name; origin: s, taken off all its times. Raises LineError on
     whatever is wrong with it.
     """
-    try:
-        if len(text) > LONGEST:
-            raise ValueError(f"{len(text)} bytes, expected {LONGEST} at most")
-        raw = from_json(text)
-        if not isinstance(raw, dict):
-            raise ValueError("expected an object")
-    except ValueError as error:
-        start = text[:60].decode("utf-8", "replace")
-        raise LineError(f"not a line of JSON: {error}; found {start!r}") from error
+    raw = _object(text)
     kinds = [kind for key, kind in _KINDS.items() if key in raw]
     try:
         if len(kinds) != 1:
-            raise InputError(f"found keys {list(raw)[:20]}, expected one of {', '.join(_KINDS)}")
+            raise InputError(f"found keys {list(raw)}, expected one of {', '.join(_KINDS)}")
         line = _since(origin, kinds[0].model_validate(raw))
         return line.n, _checked(line, sensors, inputs)
     except ValidationError as error:
         problems = "; ".join(f"{path}: {text[:200]}" for path, text in from_pydantic("line", error))
-        raise LineError(problems, *_named(raw)) from error
+        raise LineError(problems, *_named(raw, origin)) from error
     except (RelnavError, OverflowError) as error:
-        raise LineError(str(error), *_named(raw)) from error
+        raise LineError(str(error), *_named(raw, origin)) from error
 
 
 def header_of(first: bytes, origin: float = 0.0) -> Header:
@@ -280,10 +347,12 @@ def header_of(first: bytes, origin: float = 0.0) -> Header:
     origin: s, taken off its time. Raises LineError when it is a header that cannot be used.
     """
     try:
-        raw = from_json(first)
-    except ValueError:
+        raw = _object(first)
+    except LineError:
+        if _other_form(first.removeprefix(codecs.BOM_UTF8)):
+            raise  # nor will the lines that follow be of use
         return Header()
-    if not isinstance(raw, dict) or "format" not in raw:
+    if "format" not in raw:
         return Header()
     header = parse_line(first, {}, {}, origin)[1]
     assert isinstance(header, Header)
@@ -301,94 +370,12 @@ def prior_values(header: Header, layout: Layout) -> dict[str, Array]:
             raise InputError(f"header: prior.{name}: the state has {[b.name for b in layout]}")
         block, found = layout.block(name), np.array(components)
         length = 4 if block.manifold == "SO3" else block.dim
+        where = f"header: prior.{name}: found {components}, expected"
         if found.shape != (length,) or not np.isfinite(found).all():
-            raise InputError(f"header: prior.{name}: found {components}, expected {length} numbers")
-        if block.manifold == "SO3" and abs(np.linalg.norm(found) - 1) > 1e-6:
-            raise InputError(
-                f"header: prior.{name}: found {components}, expected a unit quaternion"
-            )
+            raise InputError(f"{where} {length} numbers")
+        if not np.abs(found).max() <= LARGEST:
+            raise InputError(f"{where} {LARGEST:g} at most")
+        if block.manifold == "SO3" and not abs(np.linalg.norm(found) - 1) <= UNIT_QUATERNION:
+            raise InputError(f"{where} a unit quaternion, within {UNIT_QUATERNION:g}")
         out[name] = from_components(block, found[None])[0]
     return out
-
-
-def dump(value: Mapping[str, Any]) -> str:
-    """One line of strict JSON, without its end; the shortest digits that read back the same."""
-    return json.dumps(value, allow_nan=False, separators=(", ", ": "))
-
-
-def _components(block: Block, value: Array) -> list[float]:
-    out: list[float] = to_components(block, value[None])[0].tolist()
-    return out
-
-
-def _sigmas(P: Array) -> list[float]:
-    out: list[float] = np.sqrt(np.diag(P)).tolist()
-    return out
-
-
-def estimate_object(
-    layout: Layout, derived: Iterable[Derived], x: Array, P: Array
-) -> dict[str, dict[str, list[float]]]:
-    """`estimate` of an output line: blocks, and quantities derived from them, with sigmas.
-
-    x (size,): stored vector; P (n, n): its covariance; SI. Attitudes come as quaternions, w first.
-    """
-    found = {}
-    values = layout.values(x)
-    for block in layout:
-        rows = layout.tangent(block.name)
-        value = _components(block, values[block.name])
-        found[block.name] = {"value": value, "sigma": _sigmas(P[rows, rows])}
-    for quantity in derived:
-        derived_value, J = quantity.value(*(values[b.name] for b in quantity.reads))
-        _, tangent = layout.gather(quantity.reads)
-        found[quantity.block.name] = {
-            "value": _components(quantity.block, derived_value),
-            "sigma": _sigmas(J @ P[np.ix_(tangent, tangent)] @ J.T),
-        }
-    return found
-
-
-def measurement_object(m: Measurement) -> dict[str, Any]:
-    """A measurement as a line in."""
-    line = {"sensor": m.sensor, "t": float(m.t), "id": m.ids.tolist(), "z": m.z.tolist()}
-    return line if m.t_arrival is None else {**line, "t_arrival": float(m.t_arrival)}
-
-
-def input_object(sample: InputSample) -> dict[str, Any]:
-    """A sample of an input as a line in."""
-    line = {
-        "input": sample.name,
-        "t_start": sample.t_start,
-        "t_end": sample.t_end,
-        "values": sample.values.tolist(),
-    }
-    return line if sample.t_arrival is None else {**line, "t_arrival": sample.t_arrival}
-
-
-def recording_lines(
-    recording: Recording, name: str, seed: int, layout: Layout, prior: Prior
-) -> Iterator[str]:
-    """A recording as the lines of a stream, in order of arrival, numbered.
-
-    prior: its mean goes into the header, as the estimators of a comparison get it.
-    """
-    mean = {b.name: _components(b, layout.value(prior.x, b.name)) for b in layout}
-    lines: list[tuple[float, int, dict[str, Any]]] = []
-    for key, series in recording.inputs.items():
-        edges = zip(series.t_start.tolist(), series.t_end.tolist(), strict=True)
-        for (t_start, t_end), values in zip(edges, series.values, strict=True):
-            lines.append((t_end, 0, input_object(InputSample(key, t_start, t_end, values))))
-    for m in recording.measurements:
-        arrival = m.t if m.t_arrival is None else m.t_arrival
-        lines.append((float(arrival), 1, measurement_object(m)))
-    measured = np.array(sorted([*(m.t for m in recording.measurements), np.inf]))
-    nearest = measured[np.searchsorted(measured, recording.times - SAME_TIME)]
-    silent = recording.times[nearest > recording.times + SAME_TIME]
-    lines += [(t, 1, {"epoch": t}) for t in silent.tolist()]
-    header = {"format": FORMAT, "version": VERSION, "scenario": name, "seed": seed}
-    settings = {"settings": dict(recording.settings)} if recording.settings else {}
-    yield dump({**header, "t": float(recording.times[0]), "prior": mean, **settings, "n": 0})
-    lines.sort(key=lambda entry: entry[:2])
-    for n, (_, _, line) in enumerate(lines, 1):
-        yield dump({**line, "n": n})

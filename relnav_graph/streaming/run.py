@@ -11,12 +11,15 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
+from zipfile import BadZipFile
 
+from relnav_graph.errors import RelnavError
 from relnav_graph.streaming.journal import Journal, JournalError, JournalRecord
-from relnav_graph.streaming.lines import Header, dump
+from relnav_graph.streaming.lines import Header
 from relnav_graph.streaming.output import Output
 from relnav_graph.streaming.saved import header_in
 from relnav_graph.streaming.session import Session
+from relnav_graph.streaming.writing import dump
 
 __all__ = ["Interrupted", "Interrupts", "JournaledSession", "journaled_header", "run"]
 
@@ -95,9 +98,23 @@ def _digest(line: dict[str, Any]) -> bytes:
     return _DIGEST.pack(line["seq"], zlib.crc32(dump(line).encode()))
 
 
+@contextmanager
+def _snapshot_of(journal: Journal) -> Iterator[bytes]:
+    """The session in a journal's snapshot; what cannot be read of it becomes a JournalError."""
+    try:
+        yield journal.snapshot[_OFFSET.size :]
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, BadZipFile) as error:
+        if isinstance(error, RelnavError):
+            raise
+        what = f"{type(error).__name__}: {error}"
+        raise JournalError(f"{journal.folder}: not a snapshot of this version: {what}") from error
+
+
 def journaled_header(journal: Journal) -> Header:
-    """The header of the stream in a journal that is not new."""
-    return header_in(journal.snapshot[_OFFSET.size :])
+    """The header of the stream in a journal that is not new. Raises JournalError when it cannot
+    be read."""
+    with _snapshot_of(journal) as data:
+        return header_in(data)
 
 
 class JournaledSession:
@@ -124,8 +141,9 @@ class JournaledSession:
         if not self.journal.snapshot:
             self._snapshot()
             return []
-        self.offset = _OFFSET.unpack_from(self.journal.snapshot)[0]
-        self.session.load(self.journal.snapshot[_OFFSET.size :])
+        with _snapshot_of(self.journal) as data:
+            self.offset = _OFFSET.unpack_from(self.journal.snapshot)[0]
+            self.session.load(data)
         self.kept = self.session.seq - 1
         out = []
         for kind, content in self.journal.records:
@@ -212,7 +230,7 @@ def run(
     and after whatever else is raised."""
     begun = time.perf_counter()
     again = session.begin()
-    output.resume(session.kept, session.done)
+    output.resume(session.kept, session.done, again)
     _write(session, output, again, begun)
     for raw in lines:
         interrupts.check()

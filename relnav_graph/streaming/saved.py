@@ -15,7 +15,8 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.streaming.buffers import WaitingEpoch
-from relnav_graph.streaming.lines import Header, InputSample, input_object, measurement_object
+from relnav_graph.streaming.lines import Header, InputSample
+from relnav_graph.streaming.writing import input_object, measurement_object
 
 __all__ = [
     "header_in",

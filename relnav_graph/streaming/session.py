@@ -18,7 +18,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
-from relnav_graph.core.epochs import Epoch, stamped
+from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.packing import under
@@ -27,17 +27,18 @@ from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators.online.driver import Estimate, Online
 from relnav_graph.streaming import saved
 from relnav_graph.streaming.beginning import Beginning
-from relnav_graph.streaming.buffers import InputBuffer, Inputs, Waiting, WaitingEpoch
+from relnav_graph.streaming.buffers import WaitingEpoch
+from relnav_graph.streaming.intake import Intake, Item, name_of, times_of
 from relnav_graph.streaming.lines import (
     Header,
-    InputSample,
     LineError,
     Tick,
-    estimate_object,
     parse_line,
 )
 from relnav_graph.streaming.options import PATIENCE, Options, Parsed
+from relnav_graph.streaming.refusals import Refusals
 from relnav_graph.streaming.right_units import check_inputs, misfits
+from relnav_graph.streaming.writing import estimate_object
 
 __all__ = ["Options", "Parsed", "Session"]
 
@@ -63,27 +64,31 @@ class Session:
     ) -> None:
         self.problem, self.online, self.header, self.options = problem, online, header, options
         self.columns = {k: v for p in problem.processes.values() for k, v in p.inputs.items()}
-        self.rejected: dict[str, dict[str, int]] = {}
         self.seq = 0
         self.status = "LOST"
-        self.lines = 0
+        self.lines = self.refused = 0
         self._origin = origin
         self._patience = options.patience or problem.window or PATIENCE
+        self._refusals = Refusals((*problem.sensors, *self.columns))
+        self._intake = Intake(
+            *(tuple(problem.sensors), self.columns, options.max_gap, self._patience),
+            *(header.t, problem.merge),
+        )
+        self._clock, self._waiting = self._intake.clock, self._intake.waiting
+        self._inputs = self._intake.inputs
         self._derived = derived_quantities(problem.layout)
-        self._waiting = Waiting(problem.merge)
-        self._inputs = Inputs({name: InputBuffer(name) for name in self.columns})
-        self._heard = -np.inf  # newest time of arrival, s: the "now" of the stream
-        self._last = -1  # number `n` of the last line in
-        self._notes: list[dict[str, Any]] = []  # rejected since the last line out
+        self._last = -1  # number `n` of the last line that was taken in
         self._fits: set[str] = set()  # sensors whose unit was checked and is right
         self._bridged = -np.inf  # end of the last gap in the inputs that was bridged
         self._beginning = Beginning(problem, measured) if measured else None
         self._doubt = ""  # of the prior that was measured
         self._begun_at: float | None = None  # time of the first line out
         self.cautions: tuple[Caution, ...] = ()
-        if header.t is not None:
-            self._heard = header.t
-            self._waiting.at(header.t, header.t)
+
+    @property
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """How much was not used, by sensor or input and kind of reason."""
+        return self._refusals.counts
 
     # --- lines in ------------------------------------------------------------------------
 
@@ -95,22 +100,39 @@ class Session:
             return Parsed(None, error)
 
     def repeats(self, line: Parsed) -> bool:
-        """Whether a line is a repetition, by the sender, of an earlier one."""
-        return line.n is not None and line.n <= self._last
+        """Whether a line is a repetition, by the sender, of an earlier one: by its number, unless
+        its time is new, as when a sender has begun to count anew."""
+        if line.n is None or line.n > self._last:
+            return False
+        if isinstance(line.item, Header | LineError):
+            return True
+        return not self._clock.follows(times_of(line.item)[-1])
 
     def take(self, line: Parsed) -> list[LineOut]:
-        """Process a line in; the lines out that result."""
+        """Process a line in; the lines out that result.
+
+        One that is refused leaves all as it was: but for what counts and tells refusals.
+        """
         self.lines += 1
-        self._last = self._last if line.n is None else line.n
         item = line.item
         if isinstance(item, LineError):
+            self.refused += 1
             self._reject(item.sensor, item.t, None, item.reason)
-        elif isinstance(item, Header):
+            return []
+        if isinstance(item, Header):
             if self.lines > 1:
+                self.refused += 1
                 self._reject(None, None, None, "header: found one after the first line")
+                return []
+            said = []
         else:
-            self._hear(item)
-        return self._advance(everything=False)
+            try:
+                leap = self._intake.take(item, self._epochs, self.online.t)
+            except InputError as error:
+                return self._refuse_line(item, error)
+            said = [self._say(leap)] if leap else []
+        self._last = self._last if line.n is None else line.n
+        return said + self._advance(everything=False)
 
     def pause(self) -> list[LineOut]:
         """The lines out at a pause: the newest epoch need not wait for a later arrival."""
@@ -123,75 +145,42 @@ class Session:
 
     def end(self) -> list[LineOut]:
         """The end of the stream, and of what still waits; the last line, if any is due."""
-        out = self._begun() if self._beginning is not None and self._beginning.epochs else []
-        out += self._advance(everything=True, ended=True)
-        if self._notes:
+        out = self._advance(everything=True, ended=True)
+        if self._beginning is not None and self._beginning.epochs:
+            out += self._begun()
+        if self._refusals.notes:
             out.append(self._line(self.online.t, self.status, "the end of the stream", None))
         return out
 
     def _reject(self, sensor: str | None, t: float | None, id: int | None, reason: str) -> None:
-        counts = self.rejected.setdefault(sensor or "(unnamed)", {})
-        kind = reason.partition(":")[0]
-        # However the reasons read, there are few of them: memory stays flat.
-        kind = kind if kind in counts or len(counts) < 20 else "other"
-        counts[kind] = counts.get(kind, 0) + 1
-        if len(self._notes) < 1000:
-            self._notes.append({"sensor": sensor, "t": t, "id": id, "reason": reason})
+        self._refusals.add(sensor, t, id, reason)
 
     def _refuse(self, epoch: WaitingEpoch, reason: str) -> None:
         for m in epoch.measurements:
             for i in m.ids.tolist():
                 self._reject(m.sensor, m.t, i, reason)
 
-    def _hear(self, item: Measurement | InputSample | Tick) -> None:
-        """Buffer a measurement, an input or an epoch; reject it when its times are wrong."""
-        name = item.name if isinstance(item, InputSample) else getattr(item, "sensor", None)
-        t = item.t_end if isinstance(item, InputSample) else item.t
-        arrival = t if item.t_arrival is None else item.t_arrival
-        try:
-            self._check_times(item, t, arrival)
-            if isinstance(item, InputSample):
-                if not self._inputs[item.name].add(item):
-                    raise InputError("duplicate: of an input that is there already")
-            else:
-                epoch = self._waiting.at(item.t, arrival)
-                if isinstance(item, Measurement):
-                    epoch.measurements.append(stamped(item, epoch.t))
-        except InputError as error:
-            ids = item.ids.tolist() if isinstance(item, Measurement) else [None]
-            for i in ids:
-                self._reject(name, t, i, str(error))
-        else:
-            self._heard = max(self._heard, arrival)
+    def _refuse_line(self, item: Item, error: InputError) -> list[LineOut]:
+        """Refuse a line as it comes; a line out at once when it tells that a clock is wrong."""
+        self.refused += 1
+        name = None if isinstance(item, Tick) else name_of(item)
+        for i in item.ids.tolist() if isinstance(item, Measurement) else [None]:
+            self._reject(name, times_of(item)[-2], i, str(error))
+        wrong = self._intake.refuse(item, self._epochs, error)
+        return [self._say(wrong)] if wrong else []
 
-    def _check_times(
-        self, item: Measurement | InputSample | Tick, t: float, arrival: float
-    ) -> None:
-        limit = self.options.max_gap
-        if arrival < t - SAME_TIME:
-            raise InputError(f"clock: it arrives at {arrival} s, before its own time")
-        far = max(abs(time - self._heard) for time in (t, arrival))
-        if self._heard > -np.inf and far > limit:
-            raise InputError(
-                f"clock: {far:.6g} s from the newest time heard of, {self._heard:.6g} s; above"
-                f" {limit:g} s it is taken to be of another clock (--max-gap)"
-            )
-        if self.header.t is not None and t < self.header.t - SAME_TIME:
-            raise InputError(f"late: before the prior, which is of {self.header.t} s")
-        now, start = self.online.t, self._window_start
-        if isinstance(item, InputSample):
-            if now is not None and t <= now + SAME_TIME:
-                raise InputError(f"late: an input of a time before the newest epoch, {now} s")
-        elif now is not None and t < start - SAME_TIME:
-            raise InputError(f"late: before the window, which begins at {start} s")
-
-    @property
-    def _window_start(self) -> float:
-        """Time, s, before which a measurement comes too late to be used."""
-        epochs = self.online.epochs
-        return epochs[0].t if epochs else -np.inf
+    def _say(self, message: str) -> LineOut:
+        """A line out that warns of something, with the newest estimate, if there is one."""
+        t = self.online.t
+        known = None if t is None else (self.online.x, self.online.P)
+        return self._line(t, "LOST" if known is None else "DEGRADED", message, known)
 
     # --- epochs --------------------------------------------------------------------------
+
+    @property
+    def _epochs(self) -> Sequence[Epoch]:
+        """Those that a late measurement may still change."""
+        return self.online.epochs if self._beginning is None else self._beginning.epochs
 
     @property
     def _reached(self) -> float | None:
@@ -203,11 +192,11 @@ class Session:
         out = []
         while self._waiting.epochs:
             epoch = self._waiting.epochs[0]
-            if not everything and epoch.arrival >= self._heard - SAME_TIME:
+            if not everything and epoch.arrival >= self._clock.heard - SAME_TIME:
                 break
             now = self._reached
             if now is not None and epoch.t > now and self._lacking(epoch.t):
-                if self._heard - epoch.t <= self._patience and not ended:
+                if self._clock.heard - epoch.t <= self._patience and not ended:
                     break
                 refusal = self._bridge(now, epoch.t)
                 if refusal:
@@ -304,13 +293,17 @@ class Session:
         return self._line(found.t, status, message, (found.x, found.P))
 
     def _without(self, t: float, reason: str) -> LineOut:
-        """The line out of an epoch whose update failed: the prediction to it."""
-        now, status = self.online.t, self.online.health(t)[0]
+        """The line out of an epoch whose update failed: the newest estimate, or the prediction
+        from it."""
+        now = self.online.t
+        if now is None:
+            return self._line(t, "LOST", reason, None)
+        t = max(t, now)
+        status = self.online.health(t)[0]
         status = "DEGRADED" if status == "OK" else status
         try:
-            if now is None or t < now:
-                return self._line(t, "LOST", reason, None)
-            return self._line(t, status, reason, self.online.predict(t, self._since(now, t)))
+            inputs = {} if t <= now + SAME_TIME else self._since(now, t)
+            return self._line(t, status, reason, self.online.predict(t, inputs))
         except (RelnavError, np.linalg.LinAlgError):
             return self._line(t, "LOST", reason, None)
 
@@ -326,8 +319,8 @@ class Session:
         line["estimate"] = None if found is None else self._object(*found)
         if self.options.predict_to_now and found is not None and t is not None:
             line["now"] = self._now(t, found)
-        line["rejected"] = self._notes
-        self._notes, self.seq = [], self.seq + 1
+        line["rejected"] = self._refusals.told()
+        self.seq += 1
         return line
 
     def _object(self, x: Array, P: Array) -> dict[str, Any]:
@@ -335,14 +328,14 @@ class Session:
 
     def _now(self, t: float, found: tuple[Array, Array]) -> dict[str, Any]:
         """The prediction to the newest time of arrival; inputs are held beyond their end."""
-        newest = self.online.t
-        if newest is not None and t == newest and self._heard > t + SAME_TIME:
-            try:
-                found = self.online.predict(self._heard, self._since(t, self._heard, hold=True))
-                return {"t": self._heard, "estimate": self._object(*found)}
-            except (RelnavError, np.linalg.LinAlgError):
-                return {"t": self._heard, "estimate": None}
-        return {"t": t, "estimate": self._object(*found)}
+        newest, now = self.online.t, self._clock.heard
+        if newest is None or t != newest or now <= t + SAME_TIME:
+            return {"t": t, "estimate": self._object(*found)}
+        try:
+            found = self.online.predict(now, self._since(t, now, hold=True))
+            return {"t": now, "estimate": self._object(*found)}
+        except (RelnavError, np.linalg.LinAlgError) as error:
+            return {"t": now, "estimate": None, "message": str(error)}
 
     # --- as bytes --------------------------------------------------------------------------
 
@@ -350,13 +343,14 @@ class Session:
         """All of its state as bytes."""
         own = {
             "header": saved.header_object(self.header),
-            "rejected": self.rejected,
+            "rejected": self._refusals.counts,
+            "refused": self.refused,
             "seq": self.seq,
             "status": self.status,
             "lines": self.lines,
-            "heard": self._heard,
+            "clock": self._clock.save(),
             "last": self._last,
-            "notes": self._notes,
+            "notes": self._refusals.notes,
             "fits": sorted(self._fits),
             "bridged": self._bridged,
             "doubt": self._doubt,
@@ -380,11 +374,13 @@ class Session:
             self.online = self.online.from_prior(Prior(first["x"], first["P"]))
             self._beginning, self.problem = None, self.online.problem
         self._doubt = own["doubt"]
-        self._begin_at(own.get("begun_at"))
+        self._begin_at(own["begun_at"])
         self.online.restore(arrays)
-        self.rejected, self.seq, self.status = own["rejected"], own["seq"], own["status"]
-        self.lines, self._heard, self._last = own["lines"], own["heard"], own["last"]
-        self._notes, self._fits, self._bridged = own["notes"], set(own["fits"]), own["bridged"]
+        self._refusals.counts, self._refusals.notes = own["rejected"], own["notes"]
+        self.seq, self.status, self._last = own["seq"], own["status"], own["last"]
+        self.lines, self.refused = own["lines"], own["refused"]
+        self._clock.load(own["clock"])
+        self._fits, self._bridged = set(own["fits"]), own["bridged"]
         for name, samples in own["inputs"].items():
             self._inputs[name].samples = saved.samples_in(samples)
         self._waiting.epochs = saved.waiting_in(own["waiting"])

@@ -31,7 +31,7 @@ class Source:
 
     settle: after so many s without data, one None. follow: at the end of a file wait for
     more, for `patience` s at most (None: for ever). waiting: wraps each wait, so that a
-    signal may end it.
+    signal may end it. where: its name in errors.
     """
 
     def __init__(
@@ -41,7 +41,12 @@ class Source:
         follow: bool = False,
         patience: float | None = None,
         waiting: AbstractContextManager[None] | None = None,
+        where: str = "-",
     ) -> None:
+        for name, found in ("settle", settle), ("for", patience):
+            if found is not None and not found >= 0:
+                raise InputError(f"--{name}: found {found} s, expected a length of time")
+        self._where = where
         self.settle, self._descriptor, self._follow = settle, descriptor, follow
         self._patience, self._waiting = patience, waiting or nullcontext()
 
@@ -59,7 +64,18 @@ class Source:
             os.lseek(self._descriptor, offset, os.SEEK_SET)
 
     def _chunk(self, seconds: float | None) -> bytes | None:
-        """What there is to read, b"" at the end, None when nothing comes for a while."""
+        """What there is to read, b"" at the end, None when nothing comes for a while.
+
+        Raises InputError when it cannot be read, as where a sender has broken off.
+        """
+        try:
+            return self._read(seconds)
+        except OSError as error:
+            raise InputError(
+                f"--from {self._where}: cannot be read: {error.strerror or error}"
+            ) from error
+
+    def _read(self, seconds: float | None) -> bytes | None:
         with self._waiting:
             if not self._follow:
                 ready, _, _ = select.select([self._descriptor], [], [], seconds)
@@ -123,13 +139,13 @@ def open_source(
     """
     try:
         if where == "-":
-            return Source(0, settle, waiting=waiting)
+            return Source(0, settle, waiting=waiting, where=where)
         if where.startswith("tcp:"):
             if not where[4:].isdigit() or not 0 < int(where[4:]) < 65536:
                 raise InputError(f"--from {where}: expected tcp:PORT, 1 to 65535")
             descriptor, _ = _listen(int(where[4:]), waiting)
-            return Source(descriptor, settle, waiting=waiting)
+            return Source(descriptor, settle, waiting=waiting, where=where)
         descriptor = os.open(Path(where), os.O_RDONLY)
     except OSError as error:
         raise InputError(f"--from {where}: {error.strerror or error}") from error
-    return Source(descriptor, settle, follow, patience, waiting)
+    return Source(descriptor, settle, follow, patience, waiting, where)

@@ -13,7 +13,7 @@ from streams import feed, session_of
 
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
-from relnav_graph.streaming.lines import recording_lines
+from relnav_graph.streaming.writing import recording_lines
 
 POSE = ("target_attitude", "relative_position")
 FLAT = (

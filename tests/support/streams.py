@@ -13,8 +13,9 @@ from relnav_graph.arrays import Array
 from relnav_graph.cli.stream import new_session
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
-from relnav_graph.streaming.lines import header_of, recording_lines
+from relnav_graph.streaming.lines import header_of
 from relnav_graph.streaming.session import Options, Session
+from relnav_graph.streaming.writing import recording_lines
 
 #: The command, in a process of its own.
 RELNAV = (sys.executable, "-c", "from relnav_graph.cli.main import main; main()")
