@@ -106,6 +106,7 @@ def make_scenario(
         problems += from_pydantic("", error)
         file = _without(merged, {e["loc"][0] for e in error.errors() if e["loc"]})
     orbit = merged.get("orbit")
+    orbit = orbit if isinstance(orbit, Mapping) else None  # reported above
     made: dict[str, dict[str, Any]] = {"processes": {}, "sensors": {}}
     options: dict[str, SensorOptions] = {}
     for section, found in made.items():
@@ -125,6 +126,7 @@ def make_scenario(
             contract = Dynamics if section == "processes" else Sensor
             if model is not None and not isinstance(model, contract):
                 problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
+                model = None
             found[key] = model
     truth, inputs = _make_truth(merged, orbit, problems)
     control = _make_control(merged, orbit, truth, problems)
