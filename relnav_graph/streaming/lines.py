@@ -271,9 +271,10 @@ def _named(raw: Mapping[str, Any], origin: float) -> tuple[str | None, float | N
     name = raw.get("sensor", raw.get("input"))
     t = raw.get("t", raw.get("t_end", raw.get("epoch")))
     name = name if isinstance(name, str) else None
-    if not isinstance(t, int | float) or isinstance(t, bool) or not abs(t - origin) <= LATEST:
+    is_time = isinstance(t, int | float) and not isinstance(t, bool)
+    if not is_time or not abs(t) <= LATEST + abs(origin):
         return name, None
-    return name, t - origin
+    return name, float(t) - origin
 
 
 def _since(origin: float, line: _Line) -> _Line:

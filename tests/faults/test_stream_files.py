@@ -277,7 +277,7 @@ def test_lengths_of_time_that_cannot_be(
 
 def test_names_with_odd_signs_go_through_a_journal(here: Path) -> None:
     """Of sensors and processes, through a session's bytes and back."""
-    text = SCENARIO.replace("[sensors.fix]", '[sensors."$fix.a/b\\u00e9"]')
+    text = SCENARIO.replace("[sensors.fix]", '[sensors."fix.a+b-\\u00e9"]')
     text = text.replace("[processes.motion]", '[processes."0.u.z"]')
     scenario = load_scenario(write_scenario(here, text))
     lines = lines_of(scenario)

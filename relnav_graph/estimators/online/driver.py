@@ -273,7 +273,8 @@ class Online:
         counts: dict[str, dict[str, int]] = {name: {} for name in self.problem.sensors}
         for key, n in under(state, "counts.").items():
             reason, _, sensor = key.partition(".")
-            counts.setdefault(sensor, {})[reason] = int(n)
+            if sensor in counts:
+                counts[sensor][reason] = int(n)
         self.counts, self._state = counts, new
 
     # --- inside ----------------------------------------------------------------------------
@@ -289,8 +290,9 @@ class Online:
         return self._models.again(epoch, t_before)
 
     def _count(self, sensor: str, reason: str, n: int = 1) -> None:
-        counts = self.counts.setdefault(sensor, {})
-        counts[reason] = counts.get(reason, 0) + n
+        if sensor in self.counts:  # names that no sensor has would take memory without end
+            counts = self.counts[sensor]
+            counts[reason] = counts.get(reason, 0) + n
 
     def _check_late(self, m: Measurement) -> None:
         where = f"sensor {m.sensor!r} at t = {m.t} s"
