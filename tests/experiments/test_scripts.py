@@ -111,6 +111,18 @@ def test_benchmark_compares_everything(tmp_path: Path) -> None:
     json.dumps(found, allow_nan=False)
 
 
+def test_random_problems_leave_nothing_wrong_without_a_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["random_problems", "5", "12", "-e", "iekf", "-e", "batch"])
+    _script("random_problems").main()
+    iekf, batch = (line.split() for line in capsys.readouterr().out.splitlines()[-3:-1])
+    for name, problems, _, _, silent, right, cautioned in (iekf, batch):
+        assert (problems, silent) == ("12", "0"), name
+        assert int(right) > 6
+        assert int(cautioned) <= 1
+
+
 def test_every_script_is_run_here() -> None:
     here = Path(__file__).read_text("utf-8")
     for path in EXPERIMENTS.glob("*.py"):

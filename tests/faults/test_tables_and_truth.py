@@ -141,9 +141,8 @@ def test_row_34_a_file_that_no_memory_holds(data: Path) -> None:
 
 def test_row_34_samples_that_no_memory_holds() -> None:
     for period in ("1e-9 s", "1e-300 s"):
-        scenario = load_scenario(ZHANG, [f'inputs.gyro.period = "{period}"'])
-        with pytest.raises(InputError, match=r"inputs\.gyro\.period = 1e-.* samples, .*GiB"):
-            scenario.simulate(0)
+        with pytest.raises(InputError, match=r"inputs\.gyro\.period: .* 1e-.* samples, .*GiB"):
+            load_scenario(ZHANG, [f'inputs.gyro.period = "{period}"'])
 
 
 @pytest.mark.parametrize(
@@ -339,8 +338,8 @@ def test_row_52_a_sensor_cannot_read_outside_its_data_set(data: Path, capsys: Ca
     path.write_text(text, "utf-8")
     code, _, err = relnav(capsys, "validate", data)
     assert code == 2
-    assert f"{data}: '../out.csv' cannot name a file in it" in err
+    assert "sensors: found '../out' as the name of" in err
     code, _, err = relnav(capsys, "simulate", path, "-o", data.parent / "new")
     assert code == 2
-    assert "'../out' cannot name a table" in err
+    assert "sensors: found '../out' as the name of" in err
     assert not (data.parent / "new").exists()
