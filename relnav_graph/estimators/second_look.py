@@ -19,6 +19,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Layout
+from relnav_graph.errors import InputError
 from relnav_graph.estimators.gauss_newton import Solution, solve
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly
@@ -44,8 +45,17 @@ def second_look(
     """A caution where the covariances of a solution do not describe it, else none.
 
     P (N, n, n): its covariances. Takes one to two times as long as the batch estimate. The draws
-    are the same each time.
+    are the same each time. Covariances that rounding has left not positive definite are doubted
+    too: the estimate stands, and nothing can be drawn from them.
     """
+    try:
+        return _look(assembly, prior, solution, P)
+    except (np.linalg.LinAlgError, InputError) as error:
+        return (Caution(SECOND_LOOK, f"no second look could be taken: {error}"),)
+
+
+def _look(assembly: Assembly, prior: Prior, solution: Solution, P: Array) -> tuple[Caution, ...]:
+    """`second_look` of covariances that are positive definite; else raises."""
     layout, x, rng = assembly.layout, solution.x, np.random.default_rng(np.random.SeedSequence(0))
     L, W, own = np.linalg.cholesky(P[0]), inverse_cholesky("the estimate", P[0]), anchor_of(prior)
     for z in rng.standard_normal((DRAWS, layout.dim)):

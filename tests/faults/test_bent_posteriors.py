@@ -9,7 +9,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from relnav_graph.estimators.second_look import SECOND_LOOK
+from relnav_graph.estimators import run_estimator
+from relnav_graph.estimators.gauss_newton import solve
+from relnav_graph.estimators.second_look import SECOND_LOOK, second_look
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.runs.comparison import Comparison, compare_pass
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.metrics import with_smoothed
@@ -74,6 +77,19 @@ def test_row_58_a_wrong_filter_is_told_by_the_smoother() -> None:
     assert script().error(batch, truth) < 2
     assert words(found, "iekf")[0] in ("distance", "overconfident")
     assert words(found, "batch") == []
+
+
+def test_row_58_covariances_that_rounding_has_spoilt_leave_the_estimate_as_it_is() -> None:
+    problem_ = problem(201).problem
+    assembly = Assembly.of(problem_)
+    track = run_estimator("batch", problem_)
+    solution = solve(assembly, problem_.prior, track.x, np.ones(assembly.observations))
+    spoilt = track.P.copy()
+    spoilt[0, 1, 1] = -spoilt[0, 1, 1]
+    (caution,) = second_look(assembly, problem_.prior, solution, spoilt)
+    assert caution.name == SECOND_LOOK
+    assert "no second look could be taken" in caution.text
+    assert second_look(assembly, problem_.prior, solution, track.P) == ()
 
 
 @pytest.mark.parametrize("number", [201, 203, 206, 208, 222])
