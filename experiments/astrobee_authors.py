@@ -45,7 +45,7 @@ def main(folder: Path, run: str = "") -> dict[str, tuple[float, float]]:
     recording = read_raw(scenario.file.data.reader, folder, options)
     assert recording.truth is not None
     derived = derived_quantities(scenario.layout)
-    made = compare(scenario, ("iekf", "isam2", "batch"), seed=0, data=recording)
+    made = compare(scenario, ("iekf", "incremental", "batch"), seed=0, data=recording)
     for name, track in with_smoothed(made.tracks).items():
         rate = errors(track, recording.truth, derived)["target_rate"]
         found[name] = rms(rate.e, rate.t)

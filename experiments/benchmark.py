@@ -72,16 +72,16 @@ def measure_batch(problem: Any, lengths: tuple[int, ...], lm: int, quick: bool) 
     return rows, dict(zip(lengths, each.tolist(), strict=True))
 
 
-def measure_isam2(problem: Any, length: int, at: int) -> tuple[dict[str, Any], Any]:
-    """The rows of isam2, and the time of each step."""
+def measure_incremental(problem: Any, length: int, at: int) -> tuple[dict[str, Any], Any]:
+    """The rows of incremental, and the time of each step."""
     own = first(problem, length)
-    took, growth, last = online.run(online.isam2, own)
+    took, growth, last = online.run(online.incremental, own)
     rows = {
         "growth": growth,
         "faster_than_naive": online.faster_than_naive(pass_of(first(problem, at + 20)), at),
         "sigma_from_batch": online.sigma_from_batch(pass_of(own), last),
     }
-    say(f"isam2, {length} epochs: {1e3 * np.median(took):.2f} ms per step; {rows}")
+    say(f"incremental, {length} epochs: {1e3 * np.median(took):.2f} ms per step; {rows}")
     return rows, took
 
 
@@ -128,9 +128,9 @@ def main(
         say(f"simulating {max(*lengths, steps)} epochs of zhang2015_close ...")
         problem = problem_of(max(*lengths, steps, lm, naive + 20))
         rows, per_epoch = measure_batch(problem, lengths, lm, quick)
-        isam2, took = measure_isam2(problem, steps, naive)
+        incremental, took = measure_incremental(problem, steps, naive)
         fixed_lag: dict[str, Any] = {"growth": None, "p99_over_median": None}
-        each = {"isam2": took}
+        each = {"incremental": took}
         if not quick:
             fixed_lag, each["fixed_lag"] = measure_fixed_lag(first(problem, steps))
         say(f"studies: {start.studies_per_second(min(600, lm)):.2f} runs per second and worker")
@@ -140,7 +140,7 @@ def main(
         draw(figure, per_epoch, each)
     return {
         "batch": rows,
-        "isam2": isam2,
+        "incremental": incremental,
         "fixed_lag": fixed_lag,
         "start": {"help_s": start.help_time(), "first_compile_s": first_compile},
     }

@@ -97,7 +97,7 @@ def main() -> None:
     parser.add_argument("count", type=int)
     parser.add_argument("-e", dest="kinds", action="append")
     options = parser.parse_args()
-    kinds = options.kinds or ["iekf", "batch", "isam2"]
+    kinds = options.kinds or ["iekf", "batch", "incremental"]
     rng, counts, slowest = np.random.default_rng(options.seed), dict[str, Counter[str]](), 0.0
     for number in range(options.count):
         settings, begun = variant(rng), time.perf_counter()

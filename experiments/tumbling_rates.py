@@ -31,7 +31,7 @@ def main(passes: int = 16, epochs: int = 200) -> dict[str, list[float]]:
     for seed in range(passes):
         rate = [f"{w} deg/s" for w in rng.normal(0, 3, 3)]
         scenario = load_scenario(SCENARIO, [f"time.epochs={epochs}", f"truth.target_rate={rate}"])
-        made = compare(scenario, ("iekf", "isam2", "batch"), seed=seed)
+        made = compare(scenario, ("iekf", "incremental", "batch"), seed=seed)
         truth, derived = made.truths[0], derived_quantities(scenario.layout)
         assert truth is not None
         for name, track in with_smoothed(made.tracks).items():

@@ -13,7 +13,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
-from relnav_graph.estimators.isam2 import IncrementalSmoother
+from relnav_graph.estimators.incremental import IncrementalSmoother
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
 
@@ -24,8 +24,8 @@ from .passes import Pass, seconds
 Step = Callable[[int], Array]
 
 
-def isam2(problem: Problem) -> Step:
-    """`isam2` over the epochs of a problem."""
+def incremental(problem: Problem) -> Step:
+    """`incremental` over the epochs of a problem."""
     smoother, assembly = IncrementalSmoother(problem, 1.3), Assembly.of(problem)
     return lambda k: smoother.step(problem.epochs[k], assembly.at(k))[0]
 
@@ -92,7 +92,7 @@ def faster_than_naive(p: Pass, epoch: int, steps: int = 20) -> float:
     """
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
-    isam, ours = gtsam.ISAM2(params), isam2(p.problem)
+    isam, ours = gtsam.ISAM2(params), incremental(p.problem)
     edges, took = [*range(0, epoch, 100), *range(epoch, epoch + steps + 1)], list[float]()
     for begin, end in pairwise(edges):
         factors = gtsam.NonlinearFactorGraph()

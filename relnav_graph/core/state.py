@@ -32,11 +32,6 @@ __all__ = [
 UNIT_QUATERNION = 1e-3
 
 
-#: How far from one the length of a quaternion in a file or a measurement may be: digits lost
-#: there, not a number that is no quaternion. It is then normalised.
-UNIT_QUATERNION = 1e-3
-
-
 def check_rotation(where: str, matrix: Array) -> None:
     """Raise InputError unless a (3, 3) matrix is a rotation within 1e-6."""
     error = np.abs(matrix.T @ matrix - np.eye(3)).max()

@@ -251,6 +251,15 @@ class Conditionals:
         _covariances(self.R, self.S, P, int(end is not None))
         return P
 
+    def anchor(self, x: Array) -> Anchor:
+        """What all data up to the last epoch say of it, at x (size,), where it was linearised."""
+        return Anchor(x, self.R[-1], self.d[-1])
+
+    def last_covariance(self) -> Array:
+        """``(R_N^T R_N)^-1`` (n, n), of the last epoch."""
+        inverse = np.linalg.inv(self.R[-1])
+        return inverse @ inverse.T
+
     def decrease(self) -> float:
         """``|d|^2 / 2``: by how much the step lowers the cost of the linear system."""
         return 0.5 * float(np.sum(self.d**2))

@@ -215,7 +215,7 @@ class ScenarioFile(BaseModel):
     title: str
     description: str = ""
     seed: int = Field(default=0, ge=0)
-    estimators: list[str] = ["ekf", "iekf", "rts", "batch", "isam2"]
+    estimators: list[str] = ["ekf", "iekf", "rts", "batch", "incremental"]
     evaluate: tuple[Bound, Bound] | None = None
     time: TimeSettings = TimeSettings()
     data: DataSettings | None = None

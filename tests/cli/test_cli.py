@@ -15,7 +15,7 @@ from streams import RELNAV
 from relnav_graph.cli.main import COMMANDS, main
 
 SHORT = ("--set", "time.epochs=20")
-ROWS = ["ekf", "iekf", "rts", "batch", "isam2", "isam2_smoothed"]
+ROWS = ["ekf", "iekf", "rts", "batch", "incremental", "incremental_smoothed"]
 UNITS = {
     "relative_position": "m",
     "relative_velocity": "m/s",
@@ -98,7 +98,7 @@ def test_compare_prints_one_object(capsys: Capture) -> None:
     assert {"relnav-graph", "gtsam", "numpy", "numba", "python"} <= set(found["versions"])
     assert list(found["estimators"]) == ROWS
     for name, row in found["estimators"].items():
-        online = name in ("ekf", "iekf", "isam2")
+        online = name in ("ekf", "iekf", "incremental")
         assert row["kind"] == ("filtered" if online else "smoothed")
         assert row["status"] == "ok"
         assert row["runtime_s"] >= 0
@@ -176,7 +176,7 @@ def test_smooth_writes_results_that_convert_to_tables(
 ) -> None:
     out = tmp_path / "out"
     code, printed, _ = _run(
-        capsys, "smooth", dataset, "-e", "iekf", "-e", "isam2", "-o", out, "--json"
+        capsys, "smooth", dataset, "-e", "iekf", "-e", "incremental", "-o", out, "--json"
     )
     assert code == 0
     assert json.loads((out / "summary.json").read_text()) == _json(printed)
@@ -186,7 +186,7 @@ def test_smooth_writes_results_that_convert_to_tables(
     code, _, _ = _run(capsys, "convert", out / "results.nc", tmp_path / "tables")
     assert code == 0
     tables = {p.name for p in (tmp_path / "tables").iterdir()}
-    assert tables == {"iekf.csv", "isam2.csv", "isam2_smoothed.csv"}
+    assert tables == {"iekf.csv", "incremental.csv", "incremental_smoothed.csv"}
     header, *lines = (tmp_path / "tables" / "iekf.csv").read_text().splitlines()
     assert header.startswith("t_s,")
     assert len(lines) == 20
@@ -216,7 +216,13 @@ def test_validate_finds_a_damaged_data_set(capsys: Capture, dataset: Path, tmp_p
 def test_list_names_everything(capsys: Capture) -> None:
     code, out, _ = _run(capsys, "list", EXPERIMENTS)
     assert code == 0
-    for name in ("beacon_los", "euler_rotation", "relative_attitude", "isam2", "rigid_body_pair"):
+    for name in (
+        "beacon_los",
+        "euler_rotation",
+        "relative_attitude",
+        "incremental",
+        "rigid_body_pair",
+    ):
         assert f"\n  {name} " in out
     assert "starry_night" in out
     assert "zhang2015: tumbling target" in out

@@ -161,7 +161,7 @@ def test_errors_are_as_large_as_predicted(scenario: Scenario, kind: str) -> None
 def test_smoothers_agree_and_know_more_than_filters(scenario: Scenario) -> None:
     _, problem = _pass(scenario, 3)
     tracks = {kind: run_estimator(kind, problem) for kind in ESTIMATORS}
-    smoothed, batch = tracks["isam2"].smoothed, tracks["batch"]
+    smoothed, batch = tracks["incremental"].smoothed, tracks["batch"]
     assert smoothed is not None
     sigma = sigmas(batch.P)
     assert np.abs((smoothed.x - batch.x) / sigma).max() < 1e-3

@@ -80,7 +80,7 @@ def linear_tracks() -> tuple[Problem, dict[str, Track]]:
     return problem, {kind: run_estimator(kind, problem) for kind in ESTIMATORS}
 
 
-@pytest.mark.parametrize("kind", ["ekf", "iekf", "isam2"])
+@pytest.mark.parametrize("kind", ["ekf", "iekf", "incremental"])
 def test_linear_filters_equal_the_textbook(
     linear_tracks: tuple[Problem, dict[str, Track]], kind: str
 ) -> None:
@@ -88,12 +88,12 @@ def test_linear_filters_equal_the_textbook(
     _assert_same(tracks[kind], *_textbook_filter(problem, 0.02), 1e-9)
 
 
-@pytest.mark.parametrize("kind", ["rts", "batch", "isam2_smoothed"])
+@pytest.mark.parametrize("kind", ["rts", "batch", "incremental_smoothed"])
 def test_linear_smoothers_equal_dense_least_squares(
     linear_tracks: tuple[Problem, dict[str, Track]], kind: str
 ) -> None:
     problem, tracks = linear_tracks
-    track = tracks[kind] if kind in tracks else tracks["isam2"].smoothed
+    track = tracks[kind] if kind in tracks else tracks["incremental"].smoothed
     assert track is not None
     assert track.kind == "smoothed"
     _assert_same(track, *_dense_least_squares(problem, 0.02), 1e-9)
@@ -113,9 +113,11 @@ def test_smoother_ends_where_the_filter_ends(
 def test_tiny_process_noise_keeps_graphs_and_filters_together(ratio: float) -> None:
     """ratio: of the velocity's noise in one second to its prior sigma, 0.1 m/s."""
     problem = linear_problem(0.1 * ratio, seed=3)
-    ekf, rts, batch, isam2 = (run_estimator(k, problem) for k in ("ekf", "rts", "batch", "isam2"))
-    assert isam2.smoothed is not None
-    for found, reference in ((batch, rts), (isam2.smoothed, rts), (isam2, ekf)):
+    ekf, rts, batch, incremental = (
+        run_estimator(k, problem) for k in ("ekf", "rts", "batch", "incremental")
+    )
+    assert incremental.smoothed is not None
+    for found, reference in ((batch, rts), (incremental.smoothed, rts), (incremental, ekf)):
         sigma = sigmas(reference.P)
         np.testing.assert_allclose(sigmas(found.P), sigma, rtol=1e-3)
         assert np.abs((found.x - reference.x) / sigma).max() < 1e-3

@@ -41,7 +41,7 @@ from relnav_graph.core.track import Track
 from relnav_graph.errors import GeometryError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.gauss_newton import Solution, solve
-from relnav_graph.estimators.isam2 import IncrementalSmoother
+from relnav_graph.estimators.incremental import IncrementalSmoother, SmootherState
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario.build import load_scenario
 
@@ -338,17 +338,19 @@ def test_a_problem_cannot_be_changed() -> None:
         RANGER.points[0, 0] = 1.0
 
 
-def test_isam2_relinearises_on_a_geometric_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_incremental_relinearises_on_a_geometric_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each relinearisation takes the whole history; that their number grows only with the
     logarithm of it is what keeps the cost of a step flat."""
     at: list[int] = []
-    relinearize = IncrementalSmoother._relinearize
+    relinearize = IncrementalSmoother._relinearized
 
-    def counted(self: IncrementalSmoother, x: Array, tolerance: float) -> tuple[Assembly, Solution]:
-        at.append(self.state.count)
-        return relinearize(self, x, tolerance)
+    def counted(
+        self: IncrementalSmoother, s: SmootherState, tolerance: float
+    ) -> tuple[SmootherState, Assembly, Solution]:
+        at.append(s.count)
+        return relinearize(self, s, tolerance)
 
-    monkeypatch.setattr(IncrementalSmoother, "_relinearize", counted)
+    monkeypatch.setattr(IncrementalSmoother, "_relinearized", counted)
     fixes = [m for m in toy_measurements(200) if m.sensor == "fix"]
     epochs = make_epochs(PROCESSES, fixes, {})
     smoother = IncrementalSmoother(Problem(PROCESSES, SENSORS, PRIOR, epochs), 1.5)

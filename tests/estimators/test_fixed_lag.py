@@ -138,7 +138,7 @@ def test_a_window_of_its_own_or_of_the_problem() -> None:
     assert len(state.parts) == 30
 
 
-@pytest.mark.parametrize("kind", ["ekf", "iekf", "fixed_lag", "isam2"])
+@pytest.mark.parametrize("kind", ["ekf", "iekf", "fixed_lag", "incremental"])
 def test_a_state_saved_and_restored_goes_on_with_the_same_numbers(kind: str) -> None:
     problem = toy_problem(toy_measurements(), window=WINDOW)
     one = online(kind, replace(problem, epochs=()))

@@ -234,7 +234,7 @@ def test_isam2_over_custom_factors_reaches_the_same_optimum(nonlinear: Nonlinear
 
 
 @pytest.mark.parametrize("last", [17, 35, 53])
-def test_isam2_is_close_to_batch_over_what_it_has_seen(last: int) -> None:
+def test_incremental_is_close_to_batch_over_what_it_has_seen(last: int) -> None:
     """Online, between relinearisations, where the filter is more than a sigma away."""
     scenario = load_scenario(ZHANG, ["time.epochs=54"])
     problem = scenario.problem(scenario.simulate(3), 3)
@@ -247,8 +247,8 @@ def test_isam2_is_close_to_batch_over_what_it_has_seen(last: int) -> None:
         return float(np.abs(problem.layout.local(batch.x[last], x) / sigma).max())
 
     assert away("iekf") > 1
-    assert away("isam2") < 0.05
-    track = run_estimator("isam2", problem)  # later epochs do not change what it said then
+    assert away("incremental") < 0.05
+    track = run_estimator("incremental", problem)  # later epochs do not change what it said then
     assert np.abs(problem.layout.local(batch.x[last], track.x[last]) / sigma).max() < 0.05
     np.testing.assert_allclose(sigmas(track.P)[last], sigma, rtol=0.02)
 

@@ -46,7 +46,7 @@ def test_every_experiment_is_valid(path: Path) -> None:
 @pytest.mark.parametrize("path", SIMULATED, ids=lambda p: p.stem)
 def test_every_simulated_experiment_runs(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = _compare(capsys, path, "--set", "time.epochs=12")
-    assert {"ekf", "iekf", "rts", "batch", "isam2", "isam2_smoothed"} <= set(rows)
+    assert {"ekf", "iekf", "rts", "batch", "incremental", "incremental_smoothed"} <= set(rows)
     assert all(row["status"] == "ok" for row in rows.values())
 
 
@@ -69,12 +69,12 @@ def test_zhang2015_at_full_size(capsys: pytest.CaptureFixture[str]) -> None:
     assert batch["relative_position"]["rmse"] <= 0.5 * iekf["relative_position"]["rmse"]
     assert batch["relative_attitude"]["rmse"] <= 0.65 * iekf["relative_attitude"]["rmse"]
     assert 0.5 <= rows["batch"]["anees"] <= 2
-    for name in ("iekf", "batch", "isam2", "isam2_smoothed"):
+    for name in ("iekf", "batch", "incremental", "incremental_smoothed"):
         # The truth is 2.5 deg/s and ratios of -0.5 to 0.5; nothing was known of either.
         assert states[name]["target_rate"]["rmse_last"] < 0.002
         assert states[name]["inertia_ratios"]["rmse_last"] < 0.002
     for name in batch:
-        assert states["isam2_smoothed"][name]["rmse"] == pytest.approx(
+        assert states["incremental_smoothed"][name]["rmse"] == pytest.approx(
             batch[name]["rmse"], rel=0.02
         )
 

@@ -58,12 +58,12 @@ def test_row_58_a_wrong_batch_that_says_ok_is_doubted(number: int) -> None:
 
 def test_row_58_the_look_is_the_same_each_time_and_in_the_graph() -> None:
     opened = problem(479)
-    found = compare_pass(opened, ["batch", "isam2"])
+    found = compare_pass(opened, ["batch", "incremental"])
     again = compare_pass(opened, ["batch"])
     assert found.track("batch").cautions == again.track("batch").cautions
     rows = with_smoothed(found.tracks)
-    assert rows["isam2"].cautions == rows["isam2_smoothed"].cautions
-    assert words(found, "isam2_smoothed") == [SECOND_LOOK]
+    assert rows["incremental"].cautions == rows["incremental_smoothed"].cautions
+    assert words(found, "incremental_smoothed") == [SECOND_LOOK]
 
 
 def test_row_58_a_wrong_filter_is_told_by_the_smoother() -> None:

@@ -21,7 +21,7 @@ from relnav_graph.estimators.online.driver import Estimate, Online, online
 from relnav_graph.streaming.lines import Header
 from relnav_graph.streaming.session import Options, Session
 
-KINDS = ("ekf", "iekf", "isam2", "fixed_lag")
+KINDS = ("ekf", "iekf", "incremental", "fixed_lag")
 #: A measured x above this makes the models of this file raise.
 FAR = 100.0
 

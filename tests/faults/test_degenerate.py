@@ -160,7 +160,7 @@ def laser_problem(mean: Array) -> Problem:
     return Problem(processes, {"laser": LASER}, prior, epochs)
 
 
-@pytest.mark.parametrize("kind", ["ekf", "iekf", "rts", "batch", "isam2", "fixed_lag"])
+@pytest.mark.parametrize("kind", ["ekf", "iekf", "rts", "batch", "incremental", "fixed_lag"])
 def test_row_47_a_prior_of_zero_ends_every_estimator_in_the_same_words(kind: str) -> None:
     track = try_estimator(kind, laser_problem(np.zeros(3)))
     assert track.status == "diverged"

@@ -24,7 +24,7 @@ from relnav_graph.runs.comparison import compare
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
 
-KINDS = ("batch", "rts", "ekf", "iekf", "isam2", "fixed_lag")
+KINDS = ("batch", "rts", "ekf", "iekf", "incremental", "fixed_lag")
 EPOCHS, SEED = 20, 7
 SPREAD = np.radians(0.1)
 
@@ -66,7 +66,7 @@ def test_row_45_a_gap_is_bridged_by_every_estimator(recording: Recording, gone: 
     rows = found.summary["estimators"]
     assert all(row["status"] == "ok" for row in rows.values())
     assert rows["batch"]["anees"] < 1.5
-    assert rows["isam2_smoothed"]["distance"] < 0.05
+    assert rows["incremental_smoothed"]["distance"] < 0.05
     assert rows["fixed_lag"]["distance"] < 0.05
     problem = found.problems[0]
     assert [t for t, _ in problem.bridged["gyro"]] == [10.0 * (k + 1) for k in gone]

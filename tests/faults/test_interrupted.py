@@ -36,7 +36,7 @@ def struck(after: float) -> Iterator[Callable[[], float]]:
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize("kind", ["ekf", "iekf", "rts", "batch", "isam2"])
+@pytest.mark.parametrize("kind", ["ekf", "iekf", "rts", "batch", "incremental"])
 def test_row_46_every_estimator_is_stopped_within_a_second(
     kind: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

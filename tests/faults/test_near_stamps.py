@@ -104,7 +104,7 @@ def estimate(kind: str, d: float) -> Track:
 
 
 @pytest.mark.parametrize("d", [1e-9, 1e-6, 2e-6, 1e-5, 1e-4, 1e-3])
-@pytest.mark.parametrize("kind", ["batch", "isam2", "fixed_lag"])
+@pytest.mark.parametrize("kind", ["batch", "incremental", "fixed_lag"])
 def test_row_40_smoothers_estimate_as_with_equal_stamps(kind: str, d: float) -> None:
     track, same = estimate(kind, d), estimate(kind, 0.0)
     assert track.status == "ok", track.message
@@ -132,7 +132,7 @@ def test_row_40_filters_estimate_as_with_equal_stamps(kind: str, d: float) -> No
 
 
 @pytest.mark.parametrize("d", [1e-9, 5e-6])
-@pytest.mark.parametrize("kind", ["fixed_lag", "isam2"])
+@pytest.mark.parametrize("kind", ["fixed_lag", "incremental"])
 def test_row_40_online_too(kind: str, d: float) -> None:
     one, same = driven(kind, split(d)), estimate(kind, 0.0)
     assert one.health()[0] == "OK", one.health()

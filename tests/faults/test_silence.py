@@ -58,7 +58,7 @@ def test_row_13_recovery_without_reset(kind: str) -> None:
     assert found.P[0, 0] < 1e-3 * wide
 
 
-@pytest.mark.parametrize("kind", ["iekf", "fixed_lag", "isam2"])
+@pytest.mark.parametrize("kind", ["iekf", "fixed_lag", "incremental"])
 def test_row_14_all_silent_for_several_tumbles(kind: str) -> None:
     """144 s a tumble; four of them without a beacon, then back."""
     problem, recording = zhang(150)

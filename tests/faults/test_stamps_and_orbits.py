@@ -164,7 +164,9 @@ def test_row_38_recorded_data_need_no_step(tmp_path: Path) -> None:
 
 def test_row_43_estimators_apart_are_a_caution() -> None:
     """The filter of a tumbling target, linearised where it stood; status and kind as before."""
-    found = compare(load_scenario(ZHANG, ["time.epochs=30", "seed=7"]), ["ekf", "batch", "isam2"])
+    found = compare(
+        load_scenario(ZHANG, ["time.epochs=30", "seed=7"]), ["ekf", "batch", "incremental"]
+    )
     rows = found.summary["estimators"]
     batch, ekf = found.track("batch"), found.track("ekf")
     sigma = np.sqrt(np.diag(batch.P[-1]))
@@ -173,8 +175,8 @@ def test_row_43_estimators_apart_are_a_caution() -> None:
     assert by_hand > 3
     assert rows["ekf"]["status"] == "ok"
     assert rows["batch"]["distance"] == 0.0
-    assert rows["isam2"]["distance"] < 0.5
-    assert rows["isam2_smoothed"]["distance"] < 0.1
+    assert rows["incremental"]["distance"] < 0.5
+    assert rows["incremental_smoothed"]["distance"] < 0.1
     assert cautions(found) == [("distance", "ekf")]
     assert [c["name"] for c in rows["ekf"]["cautions"]] == ["distance"]
 

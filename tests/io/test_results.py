@@ -32,13 +32,13 @@ def make_track(name: str = "batch", epochs: int = 20, seed: int = 0) -> Track:
 
 def make_online() -> Track:
     return replace(
-        make_track("isam2"),
+        make_track("incremental"),
         kind="filtered",
         status="degraded",
         message="NEES out of bounds: 3.1",
         step_s=np.linspace(1e-3, 2e-3, 20),
         rejected={"camera": 3, "range": 0},
-        smoothed=make_track("isam2_smoothed", seed=1),
+        smoothed=make_track("incremental_smoothed", seed=1),
     )
 
 
@@ -121,7 +121,7 @@ def test_opens_in_xarray_with_units_and_frames(path: Path) -> None:
         assert covariance.attrs["block_order"].split() == [b.name for b in LAYOUT]
         assert len(covariance.attrs["state_names"].split()) == LAYOUT.dim == covariance.shape[1]
         assert data.attrs["kind"] == "smoothed"
-    with xarray.open_dataset(path, group="isam2_smoothed", engine="h5netcdf") as data:
+    with xarray.open_dataset(path, group="incremental_smoothed", engine="h5netcdf") as data:
         assert data.sizes == {**data.sizes, "time": 20, "state": LAYOUT.dim}
 
 
@@ -211,8 +211,8 @@ def test_csv_has_units_and_sigmas(tmp_path: Path) -> None:
     online = make_online()
     write_csv(tmp_path / "tables", [make_track(), online])
     names = sorted(p.name for p in (tmp_path / "tables").iterdir())
-    assert names == ["batch.csv", "isam2.csv", "isam2_smoothed.csv"]
-    with (tmp_path / "tables" / "isam2.csv").open(newline="") as stream:
+    assert names == ["batch.csv", "incremental.csv", "incremental_smoothed.csv"]
+    with (tmp_path / "tables" / "incremental.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0])[:4] == [
         "t_s",

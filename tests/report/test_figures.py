@@ -113,9 +113,9 @@ def test_a_track_of_no_use_still_gives_a_figure(value: float) -> None:
 
 def test_both_rows_of_an_online_estimator_are_drawn() -> None:
     pair, truth = tracks()
-    online = replace(pair[0], name="isam2", smoothed=pair[1])
+    online = replace(pair[0], name="incremental", smoothed=pair[1])
     figure = error_figures([online], truth, [])["relative_position"]
-    assert legend(figure)[:2] == ["isam2 (filtered)", "isam2_smoothed (smoothed)"]
+    assert legend(figure)[:2] == ["incremental (filtered)", "incremental_smoothed (smoothed)"]
 
 
 def test_without_truth_sigma_alone() -> None:

@@ -37,7 +37,7 @@ SHORT = (
     'sensors.near.begin="200 s"',
     "evaluate=[0.8, 1.0]",
 )
-FLYING = ("momentum_observer", "ekf", "iekf", "isam2", "fixed_lag")
+FLYING = ("momentum_observer", "ekf", "iekf", "incremental", "fixed_lag")
 
 
 def short(*settings: str) -> Scenario:
@@ -90,14 +90,14 @@ class Failing(Ekf):
 @pytest.fixture(scope="module")
 def flown() -> dict[str, Flown]:
     """What each estimator flies in ten minutes; rts and batch smooth what the ekf has flown."""
-    kinds = ("momentum_observer", "ekf", "rts", "batch", "isam2", "fixed_lag")
+    kinds = ("momentum_observer", "ekf", "rts", "batch", "incremental", "fixed_lag")
     return dict(zip(kinds, fly_all(short(), kinds, seed=3), strict=True))
 
 
 def test_loops_end_well(flown: dict[str, Flown]) -> None:
     """The smoother-fed loops at a fraction of a degree; the observer still converges."""
     assert {f.track.status for f in flown.values()} == {"ok"}
-    for kind in ("ekf", "isam2", "fixed_lag"):
+    for kind in ("ekf", "incremental", "fixed_lag"):
         assert last_error(flown[kind], "control_attitude") < np.radians(0.4)
         assert last_error(flown[kind], "control_rate") < np.radians(0.01)
         assert last_error(flown[kind], "target_attitude") < np.radians(0.4)
@@ -107,7 +107,7 @@ def test_every_estimator_meets_the_same_noise_and_flies_its_own_pass(
     flown: dict[str, Flown],
 ) -> None:
     first = flown["ekf"]
-    for kind in ("momentum_observer", "isam2", "fixed_lag"):
+    for kind in ("momentum_observer", "incremental", "fixed_lag"):
         assert stamps(flown[kind]) == stamps(first)
         own, other = (truth_of(f).values["control_rate"] for f in (flown[kind], first))
         before = truth_of(first).t < 100.5  # the first command, of 100 s, acts from then on
@@ -144,7 +144,7 @@ def test_a_flight_is_repeated_bit_for_bit(flown: dict[str, Flown]) -> None:
     assert stamps(other) != stamps(flown["momentum_observer"])
 
 
-@pytest.mark.parametrize("kind", ["ekf", "isam2", "fixed_lag"])
+@pytest.mark.parametrize("kind", ["ekf", "incremental", "fixed_lag"])
 def test_what_was_flown_is_a_pass_like_any_other(kind: str, flown: dict[str, Flown]) -> None:
     """The estimator on the recording of its own flight gives what it gave in flight."""
     track = run_estimator(kind, flown[kind].problem)

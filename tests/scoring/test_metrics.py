@@ -309,7 +309,7 @@ def test_summary_is_strict_json_in_the_documented_form() -> None:
     track, truth = small()
     online = replace(
         track,
-        name="isam2",
+        name="incremental",
         kind="filtered",
         step_s=np.concatenate([np.full(10, 1e-3), np.full(10, 3e-3)]),
         runtime_s=0.5,
@@ -320,21 +320,21 @@ def test_summary_is_strict_json_in_the_documented_form() -> None:
     assert result["schema"] == 1
     assert (result["scenario"], result["seed"], result["epochs"]) == ("toy", 7, 20)
     assert set(result["versions"]) == {"relnav-graph", "gtsam", "numpy", "numba", "python"}
-    assert list(result["estimators"]) == ["isam2", "isam2_smoothed"]
+    assert list(result["estimators"]) == ["incremental", "incremental_smoothed"]
     read = json.loads(json.dumps(result, allow_nan=False))["estimators"]
-    assert read["isam2"]["kind"] == "filtered"
-    assert read["isam2_smoothed"]["kind"] == "smoothed"
-    assert "step_ms" not in read["isam2_smoothed"]
-    assert read["isam2"]["rejected"] == {"beacons": 3}
-    assert read["isam2"]["step_ms"] == pytest.approx(
+    assert read["incremental"]["kind"] == "filtered"
+    assert read["incremental_smoothed"]["kind"] == "smoothed"
+    assert "step_ms" not in read["incremental_smoothed"]
+    assert read["incremental"]["rejected"] == {"beacons": 3}
+    assert read["incremental"]["step_ms"] == pytest.approx(
         {"median": 2.0, "p99": 3.0, "first_tenth_median": 1.0, "last_tenth_median": 3.0}
     )
-    assert set(read["isam2"]["states"]) == {
+    assert set(read["incremental"]["states"]) == {
         "relative_position",
         "target_attitude",
         "position_in_target",
     }
-    assert set(read["isam2"]["states"]["relative_position"]) == {
+    assert set(read["incremental"]["states"]["relative_position"]) == {
         "unit",
         "rmse",
         "rmse_last",

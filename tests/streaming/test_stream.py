@@ -58,7 +58,7 @@ def _assert_equal_to_track(out: list[dict[str, Any]], scenario: Scenario, kind: 
         assert np.abs(error).max() < 1e-6 * expected.max()
 
 
-@pytest.mark.parametrize("kind", ["ekf", "iekf", "isam2", "fixed_lag"])
+@pytest.mark.parametrize("kind", ["ekf", "iekf", "incremental", "fixed_lag"])
 def test_a_stream_is_what_compare_runs(toy: Toy, kind: str) -> None:
     scenario, lines = toy
     out = feed(session_of(scenario, lines[0], kind), lines)
@@ -172,7 +172,7 @@ def test_a_session_goes_on_from_its_bytes_bit_for_bit(toy: Toy) -> None:
     lines = [lines[0], *(changed(line) for line in lines[1:])]
     lines.insert(30, lines.pop(20))  # one comes late, some wait, some were refused
     lines.insert(25, "nonsense")
-    for kind in ("fixed_lag", "iekf", "isam2"):
+    for kind in ("fixed_lag", "iekf", "incremental"):
         whole = feed(session_of(scenario, lines[0], kind), lines)
         for at in (1, 2, 26, 31, 45):
             session = session_of(scenario, lines[0], kind)

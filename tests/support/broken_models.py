@@ -204,7 +204,7 @@ def drive(sensors: dict[str, Any], electronics: Any) -> None:
     }
     problem, raised = Problem(processes, sensors, Prior(np.zeros(7), np.eye(7)), ()), []
     inputs = {name: np.ones((1, 1)) for name in processes}
-    for kind in ("ekf", "isam2", "fixed_lag"):
+    for kind in ("ekf", "incremental", "fixed_lag"):
         estimator = online(kind, problem)
         for epoch in (Epoch(0.0, (MEASUREMENT,)), Epoch(1.0, (), inputs)):
             before = estimator.state()

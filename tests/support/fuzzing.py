@@ -167,7 +167,7 @@ def _streams() -> list[_Stream]:
     zhang = load_scenario(EXPERIMENTS / "zhang2015.toml", ["time.epochs=60"])
     raw["time"]["epochs"] = 60
     return [
-        _Stream("toy", make_scenario(raw, "toy"), ("ekf", "fixed_lag", "isam2")),
+        _Stream("toy", make_scenario(raw, "toy"), ("ekf", "fixed_lag", "incremental")),
         _Stream("zhang2015", zhang, ("ekf", "iekf")),
     ]
 

@@ -1,0 +1,283 @@
+"""Incremental smoother: a square-root filter over the full history, re-anchored by Gauss-Newton.
+
+Between relinearisations the graph is linear. What all data so far say of the newest epoch is a
+triangle, and a step is the elimination of two epochs: constant cost. Each step leaves the
+conditional of the epoch before, given the newest one; back-substitution through these gives the
+whole trajectory. Thresholds that decide epoch by epoch what to relinearise cannot win here: a
+line of sight leaves the heading of the orbital frame weakly observable, so that every new
+measurement moves every past state a little. Instead the whole past is relinearised on a geometric
+schedule (at epochs 1, 2, 3, 4, 6, 8, ... growing by a fixed ratio), which costs a constant amount
+per epoch, amortised.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
+from relnav_graph.errors import EstimationError
+from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
+from relnav_graph.estimators.gauss_newton import Solution, solve, solve_gated
+from relnav_graph.estimators.second_look import second_look
+from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
+from relnav_graph.estimators.trust import judge
+from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.elimination import Anchor, Conditionals, anchor_of, linearize
+
+__all__ = ["Incremental", "IncrementalSmoother"]
+
+
+#: Epochs taken in one by one, at most, before they are relinearised among themselves.
+WINDOW = 100
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Adjoining epochs that were eliminated together; `before` it, another part or none.
+
+    assembly, weights: of its own epochs; x (K, size): where these were linearised, after that of
+    the newest epoch before them, if there is one; conditionals: of these states.
+    """
+
+    before: _Part | None
+    assembly: Assembly
+    weights: Array
+    x: Array
+    conditionals: Conditionals
+
+    @property
+    def anchor(self) -> Anchor:
+        """What all data up to its last epoch say of that."""
+        return self.conditionals.anchor(self.x[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class SmootherState:
+    """The smoother at one epoch: an immutable value.
+
+    t: s, None before the first epoch; x (size,), P (n, n): the newest estimate;
+    count: epochs taken in; last: the newest part, linked to those before, which other states
+    share; singles: parts of one epoch, the newest ones; due: number of epochs at which the whole
+    is relinearised next; done: the filter's part in the newest epoch.
+    """
+
+    t: float | None
+    x: Array
+    P: Array
+    count: int = 0
+    last: _Part | None = None
+    singles: int = 0
+    due: int = 1
+    done: FilterSweep | None = None
+
+    def parts(self, count: int | None = None) -> list[_Part]:
+        """The newest parts, by default all, in order of time."""
+        out, one = list[_Part](), self.last
+        while one is not None and len(out) != count:
+            out.append(one)
+            one = one.before
+        return out[::-1]
+
+
+class IncrementalSmoother:
+    """One `step` per epoch; `finish` gives the whole smoothed trajectory.
+
+    state: where it stands, an immutable value: to set it is to go back there.
+    """
+
+    def __init__(self, problem: Problem, ratio: float) -> None:
+        self.problem, self.ratio = problem, ratio
+        self.state = self.begin()
+
+    @property
+    def x(self) -> Array:
+        """The estimate at the newest epoch (size,)."""
+        return self.state.x
+
+    @property
+    def P(self) -> Array:
+        """Its covariance (n, n)."""
+        return self.state.P
+
+    def step(self, epoch: Epoch, assembly: Assembly | None = None) -> tuple[Array, Array]:
+        """Take in one epoch; the estimate there, x (size,) and P (n, n).
+
+        assembly: of this epoch, where the caller has it already.
+        Raises EstimationError when the state cannot be propagated or updated, or is not
+        determined or not finite; the smoother is then as it was before.
+        """
+        problem, s = self.problem, self.state
+        if assembly is None:
+            layout, models = problem.layout, (problem.processes, problem.sensors)
+            assembly = Assembly(layout, *models, [epoch], s.t)
+        # Where the epoch is linearised: an iterated filter's estimate.
+        done = filter_step(problem, ITERATIONS, FilterState(s.t, s.x, s.P), epoch, assembly)
+        try:
+            after = self._extended(s, done)
+            if after.count >= s.due:
+                after = self._relinearized(after, 0.1)[0]
+                after = replace(after, due=max(s.count + 2, math.ceil(self.ratio * after.count)))
+            elif after.singles >= WINDOW:
+                after = self._compacted(after)
+        except (EstimationError, np.linalg.LinAlgError) as error:
+            raise EstimationError(f"t = {epoch.t} s: {error}") from error
+        self.state = after
+        return self.x, self.P
+
+    def _extended(self, s: SmootherState, done: FilterSweep) -> SmootherState:
+        """The state with one more epoch; the epoch before is linearised at its latest estimate."""
+        layout, assembly, x = self.problem.layout, done.assembly, done.end.x[None]
+        whiten = np.zeros((0, layout.dim, layout.dim))
+        if s.last is None:
+            c = linearize(assembly, anchor_of(self.problem.prior), x, whiten, done.weights)
+        else:
+            x, whiten = np.stack([s.x, x[0]]), assembly.whitening_of(done.x_predicted, done.Q)
+            c = linearize(assembly.preceded(), s.last.anchor, x, whiten, done.weights)
+        last = _Part(s.last, assembly, done.weights, x, c.conditionals)
+        after = self._moved(s, last, last.conditionals.solution()[-1])
+        return replace(after, t=done.end.t, count=s.count + 1, singles=s.singles + 1, done=done)
+
+    def _moved(self, s: SmootherState, last: _Part, d: Array) -> SmootherState:
+        """The state that ends with a part; d (n,): the step of its last epoch, where that is to
+        be taken."""
+        layout, x = self.problem.layout, last.x[-1]
+        x, J = layout.retract(x, d), layout.right_jacobian(d)
+        P = J @ last.conditionals.last_covariance() @ J.T
+        if not (np.isfinite(x).all() and np.isfinite(P).all()):
+            raise EstimationError("the estimate is not finite")
+        return replace(s, x=x, P=0.5 * (P + P.T), last=last)
+
+    def _trajectory(self, s: SmootherState, parts: list[_Part]) -> Array:
+        """Present estimate (K, size) of the states of the newest parts, by back-substitution."""
+        layout, out = self.problem.layout, [s.x[None]]
+        for part in reversed(parts):
+            end = layout.local(part.x[-1], out[-1][0])
+            out.append(layout.retract(part.x, part.conditionals.solution(end))[:-1])
+        return np.concatenate(out[::-1])
+
+    def _compacted(self, s: SmootherState) -> SmootherState:
+        """The state with its newest epochs as one part, relinearised among themselves."""
+        parts = s.parts(s.singles)
+        before = parts[0].before
+        assert before is not None
+        assembly = Assembly.join([part.assembly for part in parts])
+        weights = np.concatenate([part.weights for part in parts])
+        x = self._trajectory(s, parts)
+        solution = solve(assembly.preceded(), before.anchor, x, weights, tolerance=0.1)
+        last = _Part(before, assembly, weights, solution.x, solution.conditionals)
+        return replace(self._moved(s, last, np.zeros(self.problem.layout.dim)), singles=0)
+
+    def _relinearized(
+        self, s: SmootherState, tolerance: float
+    ) -> tuple[SmootherState, Assembly, Solution]:
+        """Gauss-Newton over the whole history."""
+        parts = s.parts()
+        assembly = Assembly.join([part.assembly for part in parts])
+        weights, x = np.concatenate([part.weights for part in parts]), self._trajectory(s, parts)
+        solution = solve_gated(assembly, self.problem, x, weights, tolerance)
+        last = _Part(None, assembly, solution.weights, solution.x, solution.conditionals)
+        after = self._moved(s, last, np.zeros(self.problem.layout.dim))
+        return replace(after, singles=0), assembly, solution
+
+    def finish(self) -> tuple[Assembly, Solution]:
+        """Relinearise once more, to convergence: the whole trajectory, smoothed."""
+        self.state, assembly, solution = self._relinearized(self.state, 1e-3)
+        return assembly, solution
+
+    # --- as an engine of `relnav_graph.estimators.online.driver`
+    # ------------------------------------
+
+    #: Its state is the whole history: only the epochs can make it again.
+    compact: ClassVar[bool] = False
+
+    def begin(self) -> SmootherState:
+        """At the prior, before the first epoch."""
+        return SmootherState(None, self.problem.prior.x, self.problem.prior.P)
+
+    def advance(
+        self, state: SmootherState, epoch: Epoch, assembly: Assembly | None = None
+    ) -> SmootherState:
+        """The state with one more epoch; see `step`."""
+        self.state = state
+        self.step(epoch, assembly)
+        return self.state
+
+    def save(self, state: SmootherState) -> dict[str, Array]:
+        """An empty mapping: see `compact`."""
+        return {}
+
+    def load(self, arrays: Mapping[str, Array]) -> SmootherState:
+        """The state before the first epoch; `arrays` is empty."""
+        return self.begin()
+
+
+@dataclass(frozen=True)
+class Incremental:
+    """A square-root filter over the full history, relinearised whenever that has grown by `ratio`.
+
+    Gives two tracks: the current epoch's estimates as they came, and, as `smoothed`, the
+    whole trajectory that it ends with.
+    """
+
+    kind: ClassVar[str] = "incremental"
+    ratio: float = 1.3
+
+    def engine(self, problem: Problem) -> IncrementalSmoother:
+        """For use online."""
+        return IncrementalSmoother(problem, self.ratio)
+
+    def run(self, problem: Problem) -> Track:
+        """Estimate the pass epoch by epoch."""
+        return self.drive(RecordedSource(problem))
+
+    def drive(self, source: Source) -> Track:
+        """Estimate epochs as they come."""
+        smoother = self.engine(source.problem)
+        done, begun = drive(source, smoother), time.perf_counter()
+        problem, status, message = done.problem, "diverged", done.stopped
+        x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
+        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
+        cautions, seconds = tuple[Caution, ...](), 0.0
+        if not done.stopped:
+            try:
+                assembly, solution = smoother.finish()
+                x, P = solution.x, solution.conditionals.covariances()
+                rejected |= count_rejected(assembly, solution.weights)
+                downweighted = count_downweighted(assembly, solution.weights)
+                away = lost(assembly, solution.weights)
+                rows = assembly.rows_of(solution.weights > 0)
+                status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
+                seconds = time.perf_counter() - begun
+                if status == "ok":
+                    cautions = second_look(assembly, problem.prior, solution, P)
+            except UNSOLVED as error:
+                message = str(error)
+        track = done.track(
+            self.kind,
+            status=status,
+            message=message,
+            rejected=rejected,
+            downweighted=downweighted,
+            cautions=cautions,
+        )
+        smoothed = replace(
+            track,
+            name=f"{self.kind}_smoothed",
+            kind="smoothed",
+            x=x,
+            P=P,
+            runtime_s=track.runtime_s + (seconds or time.perf_counter() - begun),
+            step_s=None,
+        )
+        return replace(track, smoothed=smoothed)
