@@ -109,7 +109,8 @@ class Problem:
         if self.prior.x.shape != (self.layout.size,) or self.prior.P.shape != (n, n):
             raise InputError(
                 f"prior: found x {self.prior.x.shape} and P {self.prior.P.shape}, expected"
-                f" ({self.layout.size},) and ({n}, {n}) for {self.layout}"
+                f" ({self.layout.size},) and ({n}, {n}) for {self.layout} (a static block is read"
+                " by a model and advanced by no process)"
             )
         try:
             self.layout.pack(self.layout.values(self.prior.x))
@@ -173,9 +174,10 @@ def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor
 
 
 def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> Layout:
-    """The blocks that the processes advance, in order.
+    """The blocks that the processes advance, in order, then the static ones: those that a model
+    reads and no process advances have one value for the whole pass.
 
-    Raises ModelError unless each block read is advanced by exactly one process.
+    Raises ModelError when two processes advance one block, or none advances any.
     """
     advanced: dict[str, str] = {}
     for name, process in processes.items():
@@ -186,9 +188,9 @@ def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) 
                     f" and {name!r}"
                 )
             advanced[block.name] = name
-    everything = [(n, b) for n, p in processes.items() for b in p.advances + p.reads]
-    everything += [(n, b) for n, s in sensors.items() for b in s.reads]
-    for name, block in everything:
-        if block.name not in advanced:
-            raise ModelError(f"{name!r} reads block {block.name!r}, which no process advances")
-    return Layout(block for _, block in everything)
+    if not advanced:
+        raise ModelError("no process advances any block, expected one or more")
+    everything = [b for p in processes.values() for b in p.advances + p.reads]
+    everything += [b for s in sensors.values() for b in s.reads]
+    moving = [b for b in everything if b.name in advanced]
+    return Layout(moving, [b for b in everything if b.name not in advanced])

@@ -113,12 +113,14 @@ _ROTATION = np.array([[1, 0, 0, 3]])
 class Layout:
     """Blocks in order, and where each stands in the stored and in the tangent vector.
 
-    Raises ModelError when one name is declared in two ways (two frames, say).
+    blocks: those that move from epoch to epoch; statics: those that have one value for the whole
+    pass, after them. Raises ModelError when one name is declared in two ways (two frames, say).
     """
 
-    def __init__(self, blocks: Iterable[Block]) -> None:
+    def __init__(self, blocks: Iterable[Block], statics: Iterable[Block] = ()) -> None:
+        constant = list(statics)
         unique: dict[str, Block] = {}
-        for block in blocks:
+        for block in (*blocks, *constant):
             if unique.setdefault(block.name, block) != block:
                 raise ModelError(
                     f"block {block.name!r} is declared twice, and differently: "
@@ -133,6 +135,17 @@ class Layout:
             self._tangent[block.name] = slice(self.dim, self.dim + block.dim)
             self.size += block.size
             self.dim += block.dim
+        self._moving = len(self.blocks) - len({block.name for block in constant})
+
+    @cached_property
+    def moving(self) -> Layout:
+        """The layout of the blocks that move alone: its vectors are the first part of these."""
+        return self if self._moving == len(self.blocks) else Layout(self.blocks[: self._moving])
+
+    @cached_property
+    def statics(self) -> Layout:
+        """The layout of the static blocks alone: its vectors are the last part of these."""
+        return Layout(self.blocks[self._moving :])
 
     def __iter__(self) -> Iterator[Block]:
         return iter(self.blocks)
@@ -144,13 +157,21 @@ class Layout:
         return name in self._stored
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Layout) and self.blocks == other.blocks
+        return (
+            isinstance(other, Layout)
+            and self.blocks == other.blocks
+            and self._moving == other._moving
+        )
 
     def __hash__(self) -> int:
         return hash(self.blocks)
 
     def __repr__(self) -> str:
-        return f"Layout({', '.join(b.name for b in self.blocks)})"
+        names = [b.name for b in self.blocks]
+        static = (
+            f"; static: {', '.join(names[self._moving :])}" if self._moving < len(names) else ""
+        )
+        return f"Layout({', '.join(names[: self._moving])}{static})"
 
     def block(self, name: str) -> Block:
         """The block called `name`; raises ModelError when there is none."""

@@ -18,9 +18,11 @@ __all__ = [
     "Innovations",
     "Kind",
     "Recording",
+    "Statics",
     "Status",
     "Track",
     "Truth",
+    "estimates",
 ]
 
 Kind = Literal["filtered", "fixed-lag", "smoothed"]
@@ -54,6 +56,21 @@ class Innovations:
 
 
 @dataclass(frozen=True, eq=False)
+class Statics:
+    """What each epoch of a track says of the blocks that have one value for the whole pass.
+
+    x (N, size): stored vectors; P (N, dim, dim): their covariances; cross (N, n, dim): their
+    covariances with the epoch's state, n of its tangent. Of a smoothed track all rows of x and P
+    are the same.
+    """
+
+    layout: Layout
+    x: Array
+    P: Array
+    cross: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Track:
     """Estimates over a pass.
 
@@ -65,7 +82,8 @@ class Track:
     online step, s; smoothed: for an online estimator, the track that it ends with;
     innovations: of a filter, by sensor; truth: of the pass, where the estimator flew one of
     its own; controlled: the errors of control there, whose aim is zero; cautions: what leaves
-    the status as it is, and must be known all the same.
+    the status as it is, and must be known all the same; statics: of the blocks that do not move,
+    where there are any.
     """
 
     name: str
@@ -85,15 +103,46 @@ class Track:
     truth: Truth | None = None
     controlled: tuple[Block, ...] = ()
     cautions: tuple[Caution, ...] = ()
+    statics: Statics | None = None
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """All blocks: those of the epochs, then the static ones."""
+        return self.layout.blocks + (self.statics.layout.blocks if self.statics else ())
 
     def value(self, name: str) -> Array:
         """Values of one block, (N, 3, 3) for an attitude, (N, dim) otherwise."""
+        if self.statics is not None and name in self.statics.layout:
+            return self.statics.layout.value(self.statics.x, name)
         return self.layout.value(self.x, name)
 
-    def covariance(self, name: str) -> Array:
-        """Covariance of one block, (N, dim, dim), SI."""
-        rows = self.layout.tangent(name)
-        return self.P[:, rows, rows]
+    def covariance(self, *names: str) -> Array:
+        """Joint covariance of blocks in the order of their names, (N, dims, dims), SI."""
+        if len(names) == 1:
+            return self._between(*names, *names)
+        return np.block([[self._between(a, b) for b in names] for a in names])
+
+    def _between(self, a: str, b: str) -> Array:
+        """Covariance of two blocks, (N, dim of a, dim of b)."""
+        s, moving = self.statics, self.layout
+        if s is None or (a in moving and b in moving):
+            return self.P[:, moving.tangent(a), moving.tangent(b)]
+        if a in moving:
+            return s.cross[:, moving.tangent(a), s.layout.tangent(b)]
+        if b in moving:
+            return self._between(b, a).transpose(0, 2, 1)
+        return s.P[:, s.layout.tangent(a), s.layout.tangent(b)]
+
+
+def estimates(layout: Layout, x: Array, P: Array) -> dict[str, Any]:
+    """layout, x, P and statics of a track, from states x (N, size) and covariances P (N, n, n) of
+    all blocks of a layout."""
+    size, n = layout.moving.size, layout.moving.dim
+    statics = None
+    if layout.statics:
+        statics = Statics(layout.statics, x[:, size:], P[:, n:, n:], P[:, :n, n:])
+        x, P = x[:, :size], P[:, :n, :n]
+    return {"layout": layout.moving, "x": x, "P": P, "statics": statics}
 
 
 @dataclass(frozen=True, eq=False)

@@ -160,15 +160,22 @@ def test_input_of_too_few_channels_is_refused() -> None:
             {**PROCESSES, "again": PROCESSES["motion"]},
             "'relative_position' is advanced by both 'mot",
         ),
-        (
-            {"motion": PROCESSES["motion"]},
-            "'ranger' reads block 'range_drift', which no process adv",
-        ),
+        ({}, "no process advances any block"),
     ],
 )
 def test_state_that_does_not_hang_together_is_refused(processes: dict[str, Any], says: str) -> None:
     with pytest.raises(ModelError, match=says):
         Problem(processes, SENSORS, PRIOR, (Epoch(0.0),))
+
+
+def test_a_block_that_no_process_advances_is_static_and_needs_a_prior() -> None:
+    with pytest.raises(InputError, match=r"prior.*static: range_drift\) \(a static block is read"):
+        Problem(
+            {"motion": PROCESSES["motion"]},
+            SENSORS,
+            replace(PRIOR, x=PRIOR.x[:6], P=PRIOR.P[:6, :6]),
+            (Epoch(0.0),),
+        )
 
 
 def test_unknown_estimator_names_the_known() -> None:
