@@ -17,13 +17,14 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.models import DerivedQuantity
-from relnav_graph.core.state import Block
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
 
 __all__ = [
     "StateErrors",
     "StateEstimates",
+    "at_the_end",
     "chi2_band",
     "deviations",
     "errors",
@@ -97,17 +98,15 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
 
     A derived quantity with the name of a block is left out: the block is the estimate.
     """
-    layout = track.layout
-    found = {
-        b.name: StateEstimates(b, track.value(b.name), track.covariance(b.name)) for b in layout
-    }
+    own = {b.name: b for b in track.blocks}
+    found = {n: StateEstimates(b, track.value(n), track.covariance(n)) for n, b in own.items()}
     for quantity in derived:
         # The blocks, not only their names: a position in another frame is another block.
-        if quantity.block.name in layout or not set(quantity.reads) <= set(layout.blocks):
+        if quantity.block.name in own or not set(quantity.reads) <= set(own.values()):
             continue
-        value, jacobian = _evaluate(quantity, [track.value(b.name) for b in quantity.reads])
-        _, index = layout.gather(quantity.reads)
-        P = jacobian @ track.P[:, index[:, None], index] @ jacobian.transpose(0, 2, 1)
+        names = [b.name for b in quantity.reads]
+        value, jacobian = _evaluate(quantity, [track.value(n) for n in names])
+        P = jacobian @ track.covariance(*names) @ jacobian.transpose(0, 2, 1)
         found[quantity.block.name] = StateEstimates(quantity.block, value, P)
     for block in track.controlled:
         one = np.eye(3) if block.manifold == "SO3" else np.zeros(block.dim)
@@ -163,18 +162,27 @@ def errors(track: Track, truth: Truth, derived: Sequence[Derived]) -> dict[str, 
     return deviations(estimates(track, derived), track.t, truth, derived)
 
 
-def joint(found: Iterable[StateErrors], track: Track) -> tuple[Array, Array]:
-    """Errors (M, n) and joint covariance (M, n, n) of all blocks that truth knows.
+def joint(found: Iterable[StateErrors], track: Track, layout: Layout) -> tuple[Array, Array]:
+    """Errors (M, n) and joint covariance (M, n, n) of those blocks of a layout that truth knows.
 
-    SI, in tangent coordinates; of the M epochs at which truth knows all of them.
+    layout: of the track's epochs, or of its statics. SI, in tangent coordinates; of the M epochs
+    at which truth knows all of them.
     """
-    blocks = [s for s in found if s.block.name in track.layout]
+    blocks = [s for s in found if s.block.name in layout]
     if not blocks:
         return np.zeros((0, 1)), np.zeros((0, 1, 1))
     common = reduce(np.intersect1d, [s.t for s in blocks])
-    _, index = track.layout.gather(s.block for s in blocks)
     e = np.hstack([s.e[np.isin(s.t, common)] for s in blocks])
-    return e, track.P[np.isin(track.t, common)][:, index[:, None], index]
+    P = track.at(np.isin(track.t, common)).covariance(*(s.block.name for s in blocks))
+    return e, P
+
+
+def at_the_end(found: Iterable[StateErrors], track: Track) -> list[StateErrors]:
+    """Errors (1, dim) of the static blocks that truth knows, at the last epoch at which it knows
+    all of them: what a filter has learned of a constant is what it ends with."""
+    own = [s for s in found if track.statics is not None and s.block.name in track.statics.layout]
+    common = reduce(np.intersect1d, [s.t for s in own]) if own else np.zeros(0)
+    return [s.where(s.t == common[-1]) for s in own] if len(common) else []
 
 
 def nees(e: Array, P: Array) -> tuple[Array, Indices]:
