@@ -200,7 +200,7 @@ def _read_csv(path: Path) -> Table:
 
 def _number(text: str) -> float:
     try:
-        return float(text)
+        return np.nan if "_" in text else float(text)  # Python reads 1_1, a column, as 11
     except ValueError:
         return np.nan
 
