@@ -174,7 +174,9 @@ def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
     known_as = "error (truth − aim)" if aimed else "error (truth − estimate)"
     what = known_as if known else "1-sigma uncertainty"
     where = "about the axes of" if block.manifold == "SO3" else "in"
-    title = f"{state.replace('_', ' ').capitalize()} {symbol(block)}: {what}"
+    statics = lines[0].track.statics
+    constant = ", a constant" if statics is not None and state in statics.layout else ""
+    title = f"{state.replace('_', ' ').capitalize()} {symbol(block)}{constant}: {what}"
     panels[0].set_title(f"{title}, {where} frame {block.frame[-1:]}", loc="left")
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels()

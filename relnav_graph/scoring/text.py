@@ -129,7 +129,10 @@ def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> l
     having = {name: row for name, row in rows.items() if "statics" in row}
     units = {n: one["unit"] for row in having.values() for n, one in row["statics"].items()}
     parts = [
-        (_with_unit(n, unit), {r: row["statics"][n] for r, row in having.items()})
+        (
+            _with_unit(n, unit),
+            {r: row["statics"][n] for r, row in having.items() if n in row["statics"]},
+        )
         for n, unit in units.items()
     ]
     if len(parts) > 1:
