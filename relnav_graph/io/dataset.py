@@ -197,11 +197,11 @@ def read_dataset(
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
     merge: float = SAME_TIME,
-    constants: Container[str] = (),
+    statics: Container[str] = (),
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
-    inputs: columns of each input, by name; merge: s, how close to an epoch is of it; constants:
+    inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
     which of the blocks are static, see `relnav_graph.io.truth.read_truth`.
 
     Other tables are left alone. Observations of one sensor at one time make one
@@ -220,7 +220,7 @@ def read_dataset(
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
-    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""), constants)
+    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""), statics)
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 

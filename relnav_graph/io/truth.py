@@ -130,19 +130,19 @@ def read_truth(
     blocks: Mapping[str, Block],
     epochs: Array,
     source: str,
-    constants: Container[str] = (),
+    statics: Container[str] = (),
 ) -> Truth | None:
     """Truth of those of `blocks` that have a table ``truth_NAME``, at all their times, and at the
     `epochs` (M,), s, between them.
 
-    source: where it is from; constants: names of static blocks, which are known at all times where
+    source: where it is from; statics: names of static blocks, which are known at all times where
     all rows of their table are the same; one row needs no time. None without any table. Raises
     InputError, naming file, line and column, on a table with other columns, times that do not
     increase, or a quaternion whose length is not one within 1e-3; it is normalised.
     """
     found = {}
     for name, block in blocks.items():
-        table = _table(folder, block, name in constants)
+        table = _table(folder, block, name in statics)
         if table is not None:
             known = from_components(block, table.stack(component_columns(block)))
             found[name] = table, known
@@ -155,7 +155,7 @@ def read_truth(
     at, _ = Truth(times, {}).at(epochs)
     values = {}
     for name, (table, known) in found.items():
-        if name in constants and len(known) and (known == known[0]).all():
+        if name in statics and len(known) and (known == known[0]).all():
             values[name] = np.tile(known[0], (len(times), *([1] * (known.ndim - 1))))
             continue
         values[name] = np.full((len(times), *known.shape[1:]), np.nan)

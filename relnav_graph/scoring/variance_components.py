@@ -73,7 +73,7 @@ class _Groups:
 
 
 def _groups(problem: Problem, assembly: Assembly) -> _Groups:
-    of_state, n = _process_groups(problem.processes, assembly), assembly.layout.dim
+    of_state, n = _process_groups(problem.processes, assembly), assembly.layout.moving.dim
     names = [f"sensors.{s}" for s in assembly.sensor_names]
     names += [PRIOR, *dict.fromkeys(of_state[i] for i in range(n))]
     of_process = np.array([names.index(of_state[i]) for i in range(n)])
@@ -81,12 +81,13 @@ def _groups(problem: Problem, assembly: Assembly) -> _Groups:
 
 
 def _residuals(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
-    """Whitened residuals of prior, process and measurements after the step d (N, n)."""
+    """Whitened residuals of prior, process and measurements after the step d (N, n + m), n of the
+    blocks that move, m of the static ones, the same in all rows."""
     q, m = rows.process, rows.measurements
-    at = np.repeat(np.arange(len(d)), np.diff(rows.offsets))
+    at, n = np.repeat(np.arange(len(d)), np.diff(rows.offsets)), q.B.shape[-1]
     return (
         rows.e + rows.A @ d[0],
-        q.e + np.einsum("kij,kj->ki", q.A, d[:-1]) + np.einsum("kij,kj->ki", q.B, d[1:]),
+        q.e + np.einsum("kij,kj->ki", q.A, d[:-1]) + np.einsum("kij,kj->ki", q.B, d[1:, :n]),
         m.r + np.einsum("rj,rj->r", m.H, d[at]),
     )
 

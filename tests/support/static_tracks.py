@@ -1,4 +1,5 @@
-"""Tracks with static blocks, made by hand: a moving position, a mounting that is constant."""
+"""Tracks with static blocks: made by hand, a moving position with a mounting that is constant; and
+passes of the toy ranger, whose drift is constant where no process advances it."""
 
 from __future__ import annotations
 
@@ -6,9 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from passes import FIX, PRIOR, PROCESSES, RANGER, SENSORS
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.catalogue import RELATIVE_POSITION
+from relnav_graph.core.epochs import make_epochs
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth, estimates
 from relnav_graph.maths import so3
@@ -61,3 +66,27 @@ def smoothed(epochs: int = 40, seed: int = 0, **options: Any) -> Track:
     P = np.tile(joint_covariance() / epochs, (epochs, 1, 1))
     options = {"name": "batch", "kind": "smoothed"} | options
     return replace(filtered(epochs, seed), **estimates(LAYOUT, x, P), **options)
+
+
+def drifting_pass(seed: int = 0, epochs: int = 30, step: float = 1.0) -> tuple[Problem, Truth]:
+    """Fixes every third epoch, two ranges at each; all drawn from the models, the constant drift
+    from the prior."""
+    rng, motion = np.random.default_rng(seed), PROCESSES["motion"]
+    r, v, drift = np.split(rng.multivariate_normal(PRIOR.x, PRIOR.P), [3, 6])
+    times, states, measurements = step * np.arange(float(epochs)), [], list[Measurement]()
+    for k, t in enumerate(times.tolist()):
+        if k:
+            ahead, _, Q = motion.transition(t, np.array([[step]]), r, v)
+            r, v = np.split(rng.multivariate_normal(np.concatenate(ahead), Q), 2)
+        states.append((r, v, drift))
+        if k % 3 == 0:
+            z = rng.multivariate_normal(r, FIX.covariance)
+            measurements.append(Measurement("fix", t, z[None], np.zeros(1, dtype=np.int64)))
+        ids = RANGER.observables()[:2]
+        z = RANGER.predict(ids, r, drift) + RANGER.sigma * rng.normal(size=(2, 1))
+        measurements.append(Measurement("ranger", t, z, ids))
+    processes = {"motion": motion}
+    problem = Problem(processes, SENSORS, PRIOR, make_epochs(processes, measurements, {}, times))
+    names = [b.name for b in problem.layout]
+    values = {n: np.array(v) for n, v in zip(names, zip(*states, strict=True), strict=True)}
+    return problem, Truth(times, values)
