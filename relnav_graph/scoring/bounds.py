@@ -94,7 +94,7 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     whiten = inverse_cholesky("the prior", problem.prior.P)
     anchor = Anchor(x[0], whiten, np.zeros(layout.dim))
     system = linearize(assembly, anchor, x, assembly.whitening_of(x_next, Q), weights)
-    smoothed = system.conditionals.covariances()
+    smoothed = system.conditionals.marginals().whole()
     filtered = _filtered(problem.prior.P, F, Q, rows, assembly.row_offsets)
     return Bounds(
         Track("filter_bound", "filtered", t=problem.times, **estimates(layout, x, filtered)),

@@ -90,3 +90,42 @@ def drifting_pass(seed: int = 0, epochs: int = 30, step: float = 1.0) -> tuple[P
     names = [b.name for b in problem.layout]
     values = {n: np.array(v) for n, v in zip(names, zip(*states, strict=True), strict=True)}
     return problem, Truth(times, values)
+
+
+#: A scenario of the toy models: the ranger's offset is a constant of the pass.
+OFFSET = """
+title = "a laser ranger with a constant offset"
+seed = 4
+estimators = ["iekf", "batch"]
+
+[time]
+step = "2 s"
+epochs = 30
+
+[processes.motion]
+kind = "white_noise_acceleration"
+acceleration_density = "1 mm/s^1.5"
+
+[sensors.fix]
+kind = "toy_model:PositionFix"
+covariance = [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
+period = "6 s"
+
+[sensors.ranger]
+kind = "toy_model:DriftingRange"
+points = [[2, 0, 0], [-2, 0, 1], [0, 2, -1]]
+sigma = "5 mm"
+
+[prior]
+relative_position = { sigma = "1 m" }
+relative_velocity = { sigma = "2 cm/s" }
+range_drift = { sigma = "20 cm" }
+
+[truth]
+kind = "own_models"
+
+[truth.initial]
+relative_position = [9, -6, 4]
+relative_velocity = [-0.02, 0.01, 0]
+range_drift = [0.15]
+"""
