@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
@@ -86,7 +87,8 @@ def _overconfidence(track: Track, reference: Track) -> float:
         d = np.hstack([_apart_in(block, a, b) for block in blocks])
         P = b.covariance(*(block.name for block in blocks))
         try:
-            white = np.linalg.solve(np.linalg.cholesky(P), d[:, :, None])
+            with threadpool_limits(1, "blas"):  # threads wait for each other on small matrices
+                white = np.linalg.solve(np.linalg.cholesky(P), d[:, :, None])
         except np.linalg.LinAlgError:
             return 0.0
         squares.append(np.square(white).sum(axis=1))
