@@ -44,11 +44,13 @@ _RANK = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class StateEstimates:
-    """One state over a pass: value (N, 3, 3) or (N, dim), P (N, dim, dim), SI."""
+    """One state over a pass: value (N, 3, 3) or (N, dim), P (N, dim, dim), SI; constant: whether it
+    is a static block, or derived of such alone."""
 
     block: Block
     value: Array
     P: Array
+    constant: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +100,11 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
 
     A derived quantity with the name of a block is left out: the block is the estimate.
     """
-    own = {b.name: b for b in track.blocks}
-    found = {n: StateEstimates(b, track.value(n), track.covariance(n)) for n, b in own.items()}
+    own, moving = {b.name: b for b in track.blocks}, set(track.layout.blocks)
+    found = {
+        n: StateEstimates(b, track.value(n), track.covariance(n), b not in moving)
+        for n, b in own.items()
+    }
     for quantity in derived:
         # The blocks, not only their names: a position in another frame is another block.
         if quantity.block.name in own or not set(quantity.reads) <= set(own.values()):
@@ -107,7 +112,8 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
         names = [b.name for b in quantity.reads]
         value, jacobian = _evaluate(quantity, [track.value(n) for n in names])
         P = jacobian @ track.covariance(*names) @ jacobian.transpose(0, 2, 1)
-        found[quantity.block.name] = StateEstimates(quantity.block, value, P)
+        constant = moving.isdisjoint(quantity.reads)
+        found[quantity.block.name] = StateEstimates(quantity.block, value, P, constant)
     for block in track.controlled:
         one = np.eye(3) if block.manifold == "SO3" else np.zeros(block.dim)
         aim = np.tile(one, (len(track.t), *([1] * one.ndim)))
@@ -177,12 +183,13 @@ def joint(found: Iterable[StateErrors], track: Track, layout: Layout) -> tuple[A
     return e, P
 
 
-def at_the_end(found: Iterable[StateErrors], track: Track) -> list[StateErrors]:
-    """Errors (1, dim) of the static blocks that truth knows, at the last epoch at which it knows
-    all of them: what a filter has learned of a constant is what it ends with."""
-    own = [s for s in found if track.statics is not None and s.block.name in track.statics.layout]
-    common = reduce(np.intersect1d, [s.t for s in own]) if own else np.zeros(0)
-    return [s.where(s.t == common[-1]) for s in own] if len(common) else []
+def at_the_end(constants: Mapping[str, StateErrors]) -> dict[str, StateErrors]:
+    """Errors (1, dim) of constants that truth knows, at the last epoch at which it knows all of
+    them: what a filter has learned of a constant is what it ends with."""
+    common = reduce(np.intersect1d, [s.t for s in constants.values()]) if constants else np.zeros(0)
+    if not len(common):
+        return {}
+    return {name: s.where(s.t == common[-1]) for name, s in constants.items()}
 
 
 def nees(e: Array, P: Array) -> tuple[Array, Indices]:

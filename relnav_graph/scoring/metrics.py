@@ -87,8 +87,9 @@ class Score:
     """Scores of a track.
 
     states: of all blocks and derived quantities over the pass; anees: of all blocks of the epochs
-    that truth knows, jointly; statics: of the static blocks, at the last epoch alone, which for a
-    smoothed track is every epoch; statics_anees: of all of these that truth knows, jointly.
+    that truth knows, jointly; statics: of the static blocks, and of what is derived of them alone,
+    at the last epoch, which for a smoothed track is every epoch; statics_anees: of all static
+    blocks that truth knows, jointly.
     """
 
     name: str
@@ -185,11 +186,11 @@ def score_of(
     anees = mean_nees(*joint(found.values(), track, track.layout))
     if track.statics is None:
         return Score(track.name, track.kind, scores, *anees)
-    layout, ends = track.statics.layout, at_the_end(found.values(), track)
+    constants = {name: state for name, state in states.items() if state.constant}
+    ends = at_the_end({name: s for name, s in found.items() if name in constants})
     last = np.arange(len(track.t)) == np.flatnonzero(inside)[-1]
-    constants = {b.name: states[b.name] for b in layout}
-    static = _scores(constants, {s.block.name: s for s in ends}, last)
-    of_statics = mean_nees(*joint(ends, track, layout))
+    static = _scores(constants, ends, last)
+    of_statics = mean_nees(*joint(ends.values(), track, track.statics.layout))
     return Score(track.name, track.kind, scores, *anees, static, *of_statics)
 
 

@@ -82,6 +82,27 @@ def test_statics_are_scored_at_the_last_epoch(make: Callable[[int], Track]) -> N
     assert "statics_anees" not in without
 
 
+@dataclass(frozen=True)
+class Half:
+    """Half a lever arm: of a static block alone."""
+
+    kind: ClassVar[str] = "toy_half"
+    block: ClassVar[Block] = Block("half", "h", "vector", 3, "m", "c", "m")
+    reads: ClassVar[tuple[Block, ...]] = (LEVER_ARM,)
+
+    def value(self, *x: Array) -> tuple[Array, Array]:
+        return 0.5 * x[0], 0.5 * np.eye(3)
+
+
+def test_what_is_derived_of_constants_is_one() -> None:
+    found = score(filtered(), truth_of_statics(), [Half(), FromSensor()])
+    assert set(found.statics) == {"mounting", "lever_arm", "half"}
+    half, arm = found.statics["half"], found.statics["lever_arm"]
+    assert half.anees == pytest.approx(arm.anees)
+    assert half.rmse == pytest.approx(0.5 * 0.01 * (arm.rmse or 0))
+    assert found.statics_freedoms == 6  # of the blocks: the half says nothing new
+
+
 def test_drawn_statics_have_an_anees_of_one() -> None:
     found = [score(filtered(3, seed), truth_of_statics(3), []) for seed in range(300)]
     low, high = chi2_band(6, runs=300, level=0.999)
