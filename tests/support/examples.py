@@ -138,7 +138,8 @@ def stereo(**options: Any) -> StereoPoint:
 def gyro(angle: Any, bias: Any, **options: Any) -> DynamicsExample:
     model = gyro_model(angle, bias, **options)
     squares = [*model.angle_random_walk_density**2, *model.bias_random_walk_density**2]
-    return DynamicsExample(model, constant(*squares), {"gyro": 3})
+    count = sum(b.dim for b in model.advances)
+    return DynamicsExample(model, constant(*squares[:count]), {"gyro": 3})
 
 
 def attitude_sensor(model: Any, **step: float) -> SensorExample:
@@ -242,8 +243,8 @@ def relative_motion(**options: Any) -> DynamicsExample:
     return DynamicsExample(model, constant(0, 0, 0, 1e-12, 1e-12, 1e-12))
 
 
-def rotation(**options: Any) -> DynamicsExample:
-    model = EulerRotation(torque_density=1e-5, inertia_density=1e-4, **options)
+def rotation(inertia_density: float = 1e-4, **options: Any) -> DynamicsExample:
+    model = EulerRotation(torque_density=1e-5, inertia_density=inertia_density, **options)
     ratios = sum(b.dim for b in model.advances[2:])
     return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios))
 
@@ -339,6 +340,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         DynamicsExample(
             ReceiverClock(phase_density=0.1, frequency_density=0.02), constant(0.01, 4e-4)
         ),
+        DynamicsExample(ReceiverClock(phase_density=0.1), constant(0.01)),
     ),
     "body_velocity": (
         body_velocity("orbital", [0.1, 0.2, 0.05], "chaser_attitude"),
@@ -355,6 +357,8 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         rotation(inertia="full", orbit=LOW),
         rotation(inertia="known", known_inertia=HU_INERTIA),
         rotation(inertia="full", integrator="euler", max_step=0.2, rate="body_rate"),
+        rotation(inertia_density=0.0, orbit=LOW),
+        rotation(inertia_density=0.0, inertia="full"),
     ),
     "gravity_gradient_rotation": (
         pulled(),
@@ -365,6 +369,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         gyro([1e-4, 3e-4, 2e-4], [1e-4, 2e-4, 3e-4]),
         gyro(1e-4, 1e-4, attitude="relative_attitude"),
         gyro(1e-4, 1e-4, bias_time_constant=600.0, samples="together"),
+        gyro(1e-4, 0.0, orbit=LOW),
     ),
     "orbit_two_body": (
         orbit(0, position_density=0.1),
