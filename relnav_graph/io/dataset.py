@@ -6,7 +6,8 @@
     epochs.csv            t_s; optional, else the times of the measurements
     <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s
     <input>.csv           t_start_s, t_end_s, the columns that its process declares
-    truth_<block>.csv     t_s, the columns of `component_columns`; optional
+    truth_<block>.csv     t_s, the columns of `component_columns`; optional; of a static block,
+                          which has one value for the pass, one row is enough
     dataset.toml          format, settings that the data bring, digests; optional
 
 Units are SI and stand in the names of the columns; one row is one observation, in order
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -196,10 +197,12 @@ def read_dataset(
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
     merge: float = SAME_TIME,
+    statics: Container[str] = (),
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
-    inputs: columns of each input, by name; merge: s, how close to an epoch is of it.
+    inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics: which
+    of the blocks are static, so that one row of truth is enough.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -217,7 +220,7 @@ def read_dataset(
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
-    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""))
+    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""), statics)
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 

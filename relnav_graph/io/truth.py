@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -123,12 +123,17 @@ def _at_epochs(table: Table, block: Block, t: Array, values: Array, epochs: Arra
 
 
 def read_truth(
-    folder: Path, blocks: Mapping[str, Block], epochs: Array, source: str
+    folder: Path,
+    blocks: Mapping[str, Block],
+    epochs: Array,
+    source: str,
+    statics: Container[str] = (),
 ) -> Truth | None:
     """Truth of those of `blocks` that have a table ``truth_NAME``, at all their times, and at the
     `epochs` (M,), s, between them.
 
-    source: where it is from. None without any table. Raises InputError, naming file, line and
+    source: where it is from; statics: names of blocks that have one value for the whole pass: a
+    table of one row says it. None without any table. Raises InputError, naming file, line and
     column, on a table with other columns, times that do not increase, or a quaternion whose
     length is not one within 1e-3; it is normalised.
     """
@@ -146,6 +151,9 @@ def read_truth(
     at, _ = Truth(times, {}).at(epochs)
     values = {}
     for name, (table, known) in found.items():
+        if name in statics and len(known) == 1:
+            values[name] = np.repeat(known, len(times), axis=0)
+            continue
         values[name] = np.full((len(times), *known.shape[1:]), np.nan)
         values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs)
         values[name][np.searchsorted(times, table["t_s"])] = known

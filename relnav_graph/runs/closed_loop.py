@@ -84,7 +84,7 @@ class ClosedLoop:
         self._values: list[Mapping[str, Array]] = []
         self._epochs: list[Epoch] = []
         self._command: Array | None = None
-        self._check(self._flight.values())
+        self._check({**scenario.statics, **self._flight.values()})
         measurements = self._reached()
         first = Recording(self.times[:1], measurements, {}, self.truth())
         self.problem = replace(scenario.problem(first, seed, run), epochs=())
@@ -105,7 +105,7 @@ class ClosedLoop:
     def _reached(self) -> tuple[Measurement, ...]:
         """Store the true state at the present epoch, and simulate its measurements."""
         k = len(self._values)
-        values = {**self._flight.values(), **self._inputs.biases(k)}
+        values = {**self.scenario.statics, **self._flight.values(), **self._inputs.biases(k)}
         self._values.append(values)
         t, t0, found = float(self.times[k]), float(self.times[0]), []
         for name, sensor in self.scenario.sensors.items():

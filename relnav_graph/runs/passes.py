@@ -134,8 +134,8 @@ def _read_folder(where: str, raw: Mapping[str, Any], folder: Path) -> Recording:
 def _recorded(scenario: Scenario, folder: Path) -> Recording:
     """The recording in a data set; a sensor's table is read by the scenario's model."""
     blocks = {b.name: b for b in scenario.layout}
-    time = scenario.file.time
-    found = read_dataset(folder, scenario.sensors, scenario.input_columns, blocks, time.tolerance)
+    time, models = scenario.file.time, (scenario.sensors, scenario.input_columns)
+    found = read_dataset(folder, *models, blocks, time.tolerance, scenario.layout.statics)
     return found.shifted(-time.origin)
 
 

@@ -28,7 +28,7 @@ from relnav_graph.scenario.schema import (
 )
 from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
 from relnav_graph.sim.contracts import Controller
-from relnav_graph.sim.passes import simulate
+from relnav_graph.sim.passes import simulate, with_statics
 from relnav_graph.sim.sensors import Timing, measure_all, stream
 from relnav_graph.units import parse_quantity
 
@@ -41,7 +41,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A checked scenario: settings and models, ready to meet simulated or recorded data."""
+    """A checked scenario: settings and models, ready to meet simulated or recorded data.
+
+    statics: true values of static blocks that the truth does not give itself, (3, 3) or (dim,), SI.
+    """
 
     name: str
     file: ScenarioFile
@@ -54,6 +57,7 @@ class Scenario:
     layout: Layout
     control: Controller | None = None
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
+    statics: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def gates(self) -> dict[str, float]:
@@ -124,14 +128,17 @@ class Scenario:
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
                     f" of time.step, {step} s"
                 )
-        models = self.processes, self.sensors
-        return simulate(self.truth, self.inputs, *models, self.timings, self.times, seed, run)
+        models, timings = (self.processes, self.sensors), (self.timings, self.times)
+        return simulate(self.truth, self.inputs, *models, *timings, seed, run, self.statics)
 
     def completed(self, recording: Recording, seed: int, run: int = 0) -> Recording:
-        """A recording with the sensors that [data] has simulated on its truth.
+        """A recording with the true statics, and the sensors that [data] has simulated on its
+        truth.
 
         Raises InputError when there is no truth, or none of what a sensor reads.
         """
+        if recording.truth is not None and self.statics:
+            recording = replace(recording, truth=with_statics(recording.truth, self.statics))
         names = self.file.data.simulate if self.file.data is not None else []
         if not names:
             return recording

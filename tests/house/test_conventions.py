@@ -15,7 +15,8 @@ import gtsam
 import numpy as np
 import pytest
 import relnav_factors
-from examples import BEACONS, EXAMPLES, LOW, MOUNTED, SensorExample, gyro_model
+from example_kinds import SensorExample
+from examples import BEACONS, EXAMPLES, LOW, MOUNTED, gyro_model
 from relnav_factors.derived.inertia_ratios import InertiaRatios
 from relnav_factors.derived.relative_pose import PositionInTarget, RelativeAttitude
 from relnav_factors.dynamics.euler_rotation import EulerRotation

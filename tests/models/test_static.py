@@ -47,9 +47,8 @@ def test_a_constant_is_read_and_moves_the_rest_alike(
 
 
 def test_a_bias_is_constant_on_all_axes_or_on_none() -> None:
-    noise = np.full(3, 1e-5)
+    noise, some = np.full(3, 1e-5), np.array([0.0, 1e-9, 1e-9])
     with pytest.raises(InputError, match=r"bias_random_walk_density: found \[0"):
-        some = np.array([0.0, 1e-9, 1e-9])
         GyroBias(angle_random_walk_density=noise, bias_random_walk_density=some)
     with pytest.raises(InputError, match=r"bias_time_constant: found 600.0 s of a constant bias"):
         GyroBias(angle_random_walk_density=noise, bias_time_constant=600.0)

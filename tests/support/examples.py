@@ -8,11 +8,11 @@ for a process, the diffusion of its white noise. States and inputs are drawn fro
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from draws import PLACES, Draw, draw_block, draw_blocks
+from draws import PLACES, draw_block, draw_blocks
+from example_kinds import DerivedExample, DynamicsExample, Example, SensorExample, estimated
 from relnav_factors.derived import relative_pose
 from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from relnav_factors.dynamics.accelerometer_bias import AccelerometerBias
@@ -43,40 +43,6 @@ from relnav_factors.sensors.vision_attitude import VisionAttitude
 from relnav_graph.arrays import Array
 from relnav_graph.maths import so3
 from relnav_graph.maths.orbit import KeplerOrbit
-
-
-@dataclass(frozen=True)
-class SensorExample:
-    """draw: values of the blocks read at which the sensor sees everything; step: size of
-    a moderate change of each block; least_large: residual norm that "large" must exceed."""
-
-    model: Any
-    draw: Draw
-    step: Mapping[str, float] = field(default_factory=dict)
-    least_large: float = 0.0
-
-
-@dataclass(frozen=True)
-class DynamicsExample:
-    """diffusion: of the advanced blocks' white noise, unit^2/s, (n, n) at given values;
-    channels: of each input; companions: processes that advance the blocks that are read;
-    flow: False for a process that is no flow in time, such as a copy."""
-
-    model: Any
-    diffusion: Callable[..., Array]
-    channels: Mapping[str, int] = field(default_factory=dict)
-    companions: tuple[Any, ...] = ()
-    flow: bool = True
-
-
-@dataclass(frozen=True)
-class DerivedExample:
-    """A derived quantity."""
-
-    model: Any
-
-
-Example = SensorExample | DynamicsExample | DerivedExample
 
 BEACONS = np.array(
     [[0.5, 0.5, 0], [-0.5, -0.5, 0], [-0.5, 0.5, 0], [0.2, 0.5, 0.1], [0, 0.2, -0.1]]
@@ -261,7 +227,7 @@ def constant_velocity(**options: Any) -> DynamicsExample:
     return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6))
 
 
-EXAMPLES: Mapping[str, tuple[Example, ...]] = {
+_EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "attitude_odometry": (
         attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01))),
         attitude_sensor(
@@ -399,4 +365,9 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "position_in_target": (DerivedExample(relative_pose.PositionInTarget()),),
     "relative_attitude": (DerivedExample(relative_pose.RelativeAttitude()),),
     "target_rate_in_chaser": (DerivedExample(relative_pose.TargetRateInChaser()),),
+}
+
+EXAMPLES = {
+    kind: (*examples, *(more for example in examples for more in estimated(example)))
+    for kind, examples in _EXAMPLES.items()
 }
