@@ -15,7 +15,8 @@ from relnav_graph.estimators.ekf import run_filter
 from relnav_graph.estimators.gauss_newton import solve
 from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of, linearize
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.elimination import linearize
 
 from .passes import SAME, Pass, ratio, seconds
 

@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
 from relnav_graph.estimators.online.engine import Engine
 from relnav_graph.estimators.online.monitor import caution
@@ -73,7 +73,8 @@ def run_estimator(kind: str, problem: Problem) -> Track:
 
 def _cautious(track: Track, problem: Problem) -> Track:
     """The track, degraded where a process says that its state cannot be told from another."""
-    for epoch, x in zip(problem.epochs, track.x, strict=True):
+    whole = track.x if track.statics is None else np.hstack([track.x, track.statics.x])
+    for epoch, x in zip(problem.epochs, whole, strict=True):
         doubt = caution(problem, epoch, x)
         if doubt:
             message = f"t = {epoch.t} s: {doubt}"
@@ -96,10 +97,12 @@ def diverged(kind: str, problem: Problem, error: Exception) -> Track:
     return Track(
         name=kind,
         kind="filtered",
-        layout=layout,
         t=problem.times,
-        x=np.full((count, layout.size), np.nan),
-        P=np.full((count, layout.dim, layout.dim), np.nan),
+        **estimates(
+            layout,
+            np.full((count, layout.size), np.nan),
+            np.full((count, layout.dim, layout.dim), np.nan),
+        ),
         status="diverged",
         message=f"{type(error).__name__}: {error}",
     )
