@@ -22,7 +22,7 @@ from relnav_graph.files import check_name, printable
 from relnav_graph.memory import check_room
 from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior, true_statics
-from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.scenario import Scenario, freed
 from relnav_graph.scenario.schema import (
     MISSING,
     Problems,
@@ -202,17 +202,19 @@ def make_scenario(
     if file is not None:
         _check_choices(file, problems)
         _check_names(file, made["processes"], problems)
-    layout, bridges, statics = None, dict[str, Bridge](), dict[str, Array]()
+    layout, every = None, Layout(())  # with all mountings in the state
+    bridges, statics = dict[str, Bridge](), dict[str, Array]()
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
             layout = layout_of(made["processes"], sensors)
             check_orbits(made["processes"], sensors)
+            every = layout_of(made["processes"], freed(sensors))
         except (ModelError, InputError) as error:
             problems.append(("", str(error)))
     if file is not None and layout is not None:
-        check_prior(layout, file, problems)
-        statics = true_statics(layout, (file.truth or {}).get("statics", {}), problems)
+        check_prior(layout, file, problems, every)
+        statics = true_statics(every, (file.truth or {}).get("statics", {}), problems)
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)

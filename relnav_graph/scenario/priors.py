@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
@@ -37,11 +37,16 @@ def _prior_mean(block: Block, value: list[Any]) -> Array:
     return so3.exp(tangent) if block.manifold == "SO3" else tangent
 
 
-def check_prior(layout: Layout, file: ScenarioFile, problems: Problems) -> None:
-    """Note in `problems` what is wrong with the priors of a file."""
+def check_prior(
+    layout: Layout, file: ScenarioFile, problems: Problems, spare: Container[str] = ()
+) -> None:
+    """Note in `problems` what is wrong with the priors of a file.
+
+    spare: names of blocks that may have one, and are not in the state as it is.
+    """
     names = [b.name for b in layout]
     for name in file.prior:
-        if name not in names:
+        if name not in names and name not in spare:
             problems.append((f"prior.{name}", f"unknown block; the state has {', '.join(names)}"))
     for block in layout:
         prior = file.prior.get(block.name)

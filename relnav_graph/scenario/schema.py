@@ -208,6 +208,8 @@ class ScenarioFile(BaseModel):
 
     truth.statics: true values of static blocks (a mounting, a constant), by name, as the means of
     a prior are given; what the truth itself gives needs none. For recorded data it may stand alone.
+    With mounting = "known", the blocks that "estimated" would have: the sensor is simulated with
+    them, and the estimators know nothing of it.
 
     prior: of every block of the state: what the processes advance, and what is read by a model and
     advanced by no process, which is static: one value for the whole pass.

@@ -120,6 +120,48 @@ def test_the_simulated_camera_is_mounted_as_the_truth_says() -> None:
         np.testing.assert_allclose(one.z, other.z, rtol=0, atol=1e-9)
 
 
+def test_a_mounting_may_be_taken_for_known_and_be_another_one() -> None:
+    """The same measurements, whatever the estimators believe of the mounting."""
+    estimated = load_scenario(MOUNTING, SHORT).simulate(0)
+    scenario = load_scenario(MOUNTING, [*SHORT, "sensors.camera.mounting=known"])
+    believed = scenario.simulate(0)
+    assert [b.name for b in scenario.layout.statics] == STATICS[:2]
+    assert believed.truth is not None
+    assert not {*STATICS[2:]} & {*believed.truth.values}
+    for one, other in zip(estimated.measurements, believed.measurements, strict=True):
+        np.testing.assert_array_equal(one.z, other.z)
+    tables = dict(scenario.raw)
+    tables["truth"] = {k: v for k, v in tables["truth"].items() if k != "statics"}
+    right = make_scenario(tables, "right").simulate(0)
+    seen, same = (
+        next(m for m in r.measurements if m.sensor == "camera") for r in (right, believed)
+    )
+    assert np.abs(seen.z - same.z).max() > 3  # pixels of half a degree and 5 cm
+    mid = scenario.problem(believed, 0)
+    assert mid.layout == scenario.layout
+
+
+def test_recorded_data_may_have_true_statics_beside_them() -> None:
+    """[truth] of [truth.statics] alone: nothing is simulated from it but sensors of [data]."""
+    scenario = load_scenario(MOUNTING, SHORT)
+    tables = {k: v for k, v in scenario.raw.items() if k != "inputs"}
+    tables["truth"] = {"statics": tables["truth"]["statics"]}
+    tables["data"] = {"reader": "starry_night", "simulate": ["camera"]}
+    recorded = make_scenario(tables, "recorded", settings={})
+    with pytest.raises(InputError, match=r"no \[truth\] and \[time\] to simulate from"):
+        recorded.simulate(0)
+    simulated = scenario.simulate(0)
+    assert simulated.truth is not None
+    values = {n: v for n, v in simulated.truth.values.items() if not n.startswith("camera_")}
+    bare = replace(simulated, measurements=(), truth=replace(simulated.truth, values=values))
+    completed = recorded.completed(bare, 0)
+    assert completed.truth is not None
+    assert completed.truth.values.keys() == simulated.truth.values.keys()
+    wanted = [m for m in simulated.measurements if m.sensor == "camera"]
+    for one, other in zip(completed.measurements, wanted, strict=True):
+        np.testing.assert_array_equal(one.z, other.z)
+
+
 def shortened(path: Path) -> None:
     """A table with its header and first row only."""
     lines = path.read_text("utf-8").splitlines()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -75,6 +75,10 @@ class Mounted(SensorModel):
                 f"{self.kind}.mount: found {self.mount!r}, expected a name (letters, digits,"
                 " _ . + -), by which the blocks of the estimated mounting are called"
             )
+
+    def freed(self) -> Self:
+        """The same with its mounting estimated. Raises InputError without the name of a mount."""
+        return self if self.mounting == "estimated" else replace(self, mounting="estimated")
 
 
 @dataclass(frozen=True, kw_only=True)
