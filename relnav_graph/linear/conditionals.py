@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import types
 from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import give_way, jit_loop
@@ -212,7 +213,8 @@ class Conditionals:
 
     def last_covariance(self) -> Array:
         """Of the last epoch and the static blocks, (n + m, n + m)."""
-        inverse = np.linalg.inv(self._last())
+        triangle = self._last()
+        inverse = dtrtri(triangle)[0] if len(self.d_s) else np.linalg.inv(triangle)
         return inverse @ inverse.T
 
     def decrease(self) -> float:

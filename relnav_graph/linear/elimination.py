@@ -244,6 +244,9 @@ def linearize(
     triangle = np.zeros((m + 1, m + 1), order="F")
     if damping is not None:
         triangle[np.arange(m), np.arange(m)] = damping[0, n:]
+    elif m and not A[n:, :n].any() and not np.tril(A[n:, n:], -1).any():
+        triangle[:m, :m], triangle[:m, m] = A[n:, n:], -e[n:]  # what is a triangle already
+        at[CARRIED] = n
     while at[NEXT] < count and not failure[2]:
         begun = at[NEXT]
         _sweep(
