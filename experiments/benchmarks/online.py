@@ -16,8 +16,8 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.incremental import IncrementalSmoother
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.gtsam_graph import Keys, PassFactors
 
-from .batch import key_of, typed_factors, typed_values
 from .passes import Pass, seconds
 
 #: One step of an estimator, which gives the newest estimate (size,); k: the epoch.
@@ -82,6 +82,18 @@ def sigma_from_batch(p: Pass, last: Array) -> float:
     return float(np.abs(d / p.sigma[-1]).max())
 
 
+def naive_factors(p: Pass, make: PassFactors, k: int, whiten: Array) -> list[gtsam.CustomFactor]:
+    """Our factors of epoch k, one for each beacon, and of the interval that leads to it."""
+    q = p.problem
+    epoch = q.epochs[k]
+    apart = [
+        replace(m, ids=m.ids[[i]], z=m.z[[i]]) for m in epoch.measurements for i in range(len(m.z))
+    ]
+    split = replace(epoch, measurements=tuple(apart))
+    out = make.measurements(k, split, np.ones(len(apart)), {})
+    return out + (make.interval(k, epoch, q.epochs[k - 1].t, whiten[k - 1]) if k else make.prior())
+
+
 def faster_than_naive(p: Pass, epoch: int, steps: int = 20) -> float:
     """Step of GTSAM's iSAM2 from an epoch on, as its examples are written, in units of ours,
     medians: one variable per block, one factor per beacon, default parameters but QR (the
@@ -92,17 +104,20 @@ def faster_than_naive(p: Pass, epoch: int, steps: int = 20) -> float:
     """
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
-    isam, ours = gtsam.ISAM2(params), incremental(p.problem)
+    isam, ours, keys = gtsam.ISAM2(params), incremental(p.problem), Keys(p.problem.layout)
+    make, layout = PassFactors(p.problem, keys), p.problem.layout
+    whiten = p.assembly.whitening(p.start[:-1])
     edges, took = [*range(0, epoch, 100), *range(epoch, epoch + steps + 1)], list[float]()
     for begin, end in pairwise(edges):
-        factors = gtsam.NonlinearFactorGraph()
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for k in range(begin, end):
-            factors.push_back(typed_factors(p, k, apart=True))
-        values = typed_values(p, p.start[begin:end], begin)
+            for factor in naive_factors(p, make, k, whiten):
+                factors.push_back(factor)
+            keys.insert(values, k, layout, p.start[k])
         begun = time.perf_counter()
         isam.update(factors, values)
-        for j, block in enumerate(p.assembly.layout):
-            key = key_of(p, end - 1, j)
+        for block in layout:
+            key = keys[block.name, end - 1]
             if block.manifold == "SO3":
                 isam.calculateEstimateRot3(key)
             else:
