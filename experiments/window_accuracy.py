@@ -22,8 +22,8 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.fixed_lag import FixedLag, FixedLagEngine
 from relnav_graph.estimators.window import Window
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of
-from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.gtsam_chain import row_factor
 from relnav_graph.scenario.build import load_scenario
 
 
@@ -52,13 +52,13 @@ def of_gtsam(problem: Problem, x: np.ndarray) -> list[float]:
     inside, seconds = list[int](), list[float]()
     for k, epoch in enumerate(problem.epochs):
         own = slice(assembly.row_offsets[k], assembly.row_offsets[k + 1])
-        factors = [epoch_factor(k, rows.H[own], rows.r[own])]
+        factors = [row_factor({k: rows.H[own]}, rows.r[own])]
         if k:
             j = k - 1
-            factors.append(interval_factor(j, process.A[j], process.B[j], process.e[j]))
+            factors.append(row_factor({j: process.A[j], k: process.B[j]}, process.e[j]))
         else:
             e, W = anchor_of(problem.prior).rows(problem.layout, x[0])
-            factors.append(epoch_factor(0, W, e))
+            factors.append(row_factor({0: W}, e))
         begun = time.perf_counter()
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in factors:

@@ -13,7 +13,8 @@ from relnav_graph.estimators.batch import Batch
 from relnav_graph.estimators.ekf import run_filter
 from relnav_graph.estimators.gauss_newton import solve
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of, linearize
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows, eliminate
 from relnav_graph.linear.gtsam_graph import graph_of
 

@@ -239,6 +239,14 @@ class Layout:
         """Value of each block in stored vectors x (..., size), by name; see :meth:`value`."""
         return {b.name: self.value(x, b.name) for b in self.blocks}
 
+    def held(self, x: Array) -> Array:
+        """The trajectory x (N, size) with the static blocks of its last row in every row."""
+        if not self.statics:
+            return x
+        out = np.array(x)
+        out[:, self.moving.size :] = x[-1, self.moving.size :]
+        return out
+
     def retract(self, x: Array, d: Array) -> Array:
         """``x (+) d``: R Exp(d) on attitudes, sum on vectors.
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
 from relnav_graph.estimators.online.engine import Engine
 from relnav_graph.estimators.online.monitor import caution
@@ -56,24 +57,31 @@ def find_estimator(kind: str) -> type[Estimator]:
     return cls
 
 
-def run_estimator(kind: str, problem: Problem) -> Track:
+def run_estimator(kind: str, problem: Problem, extra: Any = None) -> Track:
     """Run an estimator of a kind, or of ``"module:Class"``, on one thread.
 
-    Threads only slow the small matrices of an epoch down. Raises ModelError on an unknown
-    kind, InputError on a problem without epochs, EstimationError when no estimate is possible.
+    extra: native factors and variables of a graph (`relnav_graph.estimators.isam2.Extra`), for an
+    estimator that has a graph to put them in. Threads only slow the small matrices of an epoch
+    down. Raises ModelError on an unknown kind, InputError on a problem without epochs, and on
+    `extra` where it does not fit or the estimator cannot take it, EstimationError when no estimate
+    is possible.
     """
     if not problem.epochs:
         raise InputError("epochs: found none, expected one or more")
-    estimator = find_estimator(kind)()
+    estimator: Any = find_estimator(kind)()
+    more = {} if extra is None else {"extra": extra}
+    if more and "extra" not in inspect.signature(estimator.run).parameters:
+        raise InputError(f"estimator {kind!r} takes no extra factors; isam2 does")
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
-        track = estimator.run(problem)
+        track: Track = estimator.run(problem, **more)
     return track if track.status != "ok" else _cautious(track, problem)
 
 
 def _cautious(track: Track, problem: Problem) -> Track:
     """The track, degraded where a process says that its state cannot be told from another."""
-    for epoch, x in zip(problem.epochs, track.x, strict=True):
+    whole = track.x if track.statics is None else np.hstack([track.x, track.statics.x])
+    for epoch, x in zip(problem.epochs, whole, strict=True):
         doubt = caution(problem, epoch, x)
         if doubt:
             message = f"t = {epoch.t} s: {doubt}"
@@ -96,10 +104,12 @@ def diverged(kind: str, problem: Problem, error: Exception) -> Track:
     return Track(
         name=kind,
         kind="filtered",
-        layout=layout,
         t=problem.times,
-        x=np.full((count, layout.size), np.nan),
-        P=np.full((count, layout.dim, layout.dim), np.nan),
+        **estimates(
+            layout,
+            np.full((count, layout.size), np.nan),
+            np.full((count, layout.dim, layout.dim), np.nan),
+        ),
         status="diverged",
         message=f"{type(error).__name__}: {error}",
     )

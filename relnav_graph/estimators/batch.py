@@ -10,9 +10,9 @@ import numpy as np
 
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Status, Track
+from relnav_graph.core.track import Status, Track, estimates
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
-from relnav_graph.estimators.gauss_newton import is_small, solve_gated
+from relnav_graph.estimators.gauss_newton import is_small, smoothed, solve_gated
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED
@@ -52,7 +52,8 @@ class Batch:
         """Smooth the whole pass."""
         start, seconds = time.perf_counter(), 0.0
         done = _filtered(problem)
-        x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
+        nothing = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
+        found = estimates(problem.layout, *nothing)
         status: Status = "diverged"
         rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
         assembly, message, cautions = done.assembly, done.stopped, tuple[Caution, ...]()
@@ -61,28 +62,27 @@ class Batch:
                 begin, weights = smooth(done, covariances=False)[0], done.weights
                 del done  # its covariances are as large as all that follows
                 solution = solve_gated(assembly, problem, begin, weights)
-                x, P = solution.x, solution.conditionals.covariances()
+                marginals = solution.conditionals.marginals()
+                found = smoothed(problem.layout, solution.x, marginals)
                 rejected |= count_rejected(assembly, solution.weights)
                 downweighted = count_downweighted(assembly, solution.weights)
                 away = lost(assembly, solution.weights)
                 rows = assembly.rows_of(solution.weights > 0)
                 status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
-                if not is_small(solution.distance, solution.conditionals.d.size):
+                if not is_small(solution.distance, solution.conditionals.states):
                     status = "degraded"
                     stopped = f"not converged: last step {solution.distance:.2g} sigma"
                     message = f"{message}; {stopped}" if message else stopped
                 seconds = time.perf_counter() - start
                 if status == "ok":
-                    cautions = second_look(assembly, problem.prior, solution, P)
+                    cautions = second_look(assembly, problem.prior, solution, marginals)
             except UNSOLVED as error:
                 message = str(error)
         return Track(
             name=self.kind,
             kind="smoothed",
-            layout=problem.layout,
             t=problem.times,
-            x=x,
-            P=P,
+            **found,
             status=status,
             message=message,
             runtime_s=seconds or time.perf_counter() - start,

@@ -12,7 +12,7 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Innovations, Status, Track
+from relnav_graph.core.track import Innovations, Status, Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.source import Source, drive
 from relnav_graph.estimators.trust import judge
@@ -66,7 +66,8 @@ class FilterSweep:
     """A filter's way through epochs.
 
     By epoch: x_predicted (N, size) and P_predicted (N, n, n); F since the epoch before, zero
-    at the first (or the last epoch's only); Q of the last epoch (1, n, n); x, P; nis and
+    at the first (or the last epoch's only); Q of the last epoch (1, q, q), q of the blocks that
+    move; x, P; nis and
     used: the squared normalised innovation of the rows used, and their number. weights: of
     the observations, 1 or 0 for one left out. end: where the
     filter stood last. reached: epochs filtered; stopped: why it
@@ -162,12 +163,12 @@ def run_filter(
     seconds: gets the time of each epoch, s. Raises ModelError when a kernel breaks its contract.
     """
     count, n, size = len(assembly.times), problem.layout.dim, problem.layout.size
-    kept = count if keep else 1
+    kept, moving = count if keep else 1, problem.layout.moving.dim
     out = FilterOutput(
         x_predicted=np.zeros((count, size)),
         P_predicted=np.zeros((count, n, n)),
-        F=np.zeros((kept, n, n)),
-        Q=np.zeros((1, n, n)),
+        F=np.tile(np.diag(np.arange(n) >= moving).astype(np.float64), (kept, 1, 1)),
+        Q=np.zeros((1, moving, moving)),
         x=np.full((count, size), np.nan),
         P=np.full((count, n, n), np.nan),
         weights=np.ones(assembly.observations),
@@ -316,10 +317,8 @@ class Ekf:
         return Track(
             name=self.kind,
             kind="filtered",
-            layout=problem.layout,
             t=problem.times,
-            x=done.x,
-            P=done.P,
+            **estimates(problem.layout, done.x, done.P),
             status=status,
             message=message,
             runtime_s=time.perf_counter() - start,

@@ -30,7 +30,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.packing import pack, under, unpack
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
 from relnav_graph.estimators.gauss_newton import Solution, solve_gated
@@ -44,7 +44,7 @@ from relnav_graph.estimators.weights import (
 )
 from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import Anchor, anchor_of
+from relnav_graph.linear.conditionals import Anchor, anchor_of
 
 __all__ = ["FixedLag", "FixedLagEngine"]
 
@@ -99,7 +99,8 @@ class FixedLagEngine:
             window = self._solved(longer, done.end.x)
         chain = window.chain
         assert chain is not None
-        x, P = chain.estimates(p.layout, slice(-1, None))[0], _covariance(chain.conditionals.R[-1])
+        x, P = chain.estimates(p.layout, slice(-1, None))[0], chain.conditionals.last_covariance()
+        P = 0.5 * (P + P.T)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
         done = replace(done, weights=window.weights[-1])
@@ -225,13 +226,6 @@ class FixedLagEngine:
         return replace(window, chain=linearized(window, a["chain"])) if epochs else window
 
 
-def _covariance(R: Array) -> Array:
-    """(R^T R)^-1, symmetric."""
-    inverse = np.linalg.inv(R)
-    P: Array = inverse @ inverse.T
-    return 0.5 * (P + P.T)
-
-
 @dataclass(frozen=True)
 class FixedLag:
     """Gauss-Newton over the newest `window` seconds, all that is older in one summary.
@@ -270,7 +264,7 @@ class FixedLag:
                 end = engine.solve(kept.newest, chain.estimates(problem.layout))
                 last = [*last, end.weights]
                 x[-inside:] = end.x[-inside:]
-                P[-inside:] = end.conditionals.covariances()[-inside:]
+                P[-inside:] = end.conditionals.marginals().whole()[-inside:]
                 away = lost(assembly, np.concatenate(kept.first))
                 status, message = judge(away, problem, kept.misfit, kept.used)
             except UNSOLVED as error:
@@ -281,8 +275,7 @@ class FixedLag:
             track,
             name=f"{self.kind}_smoothed",
             kind="fixed-lag",
-            x=x,
-            P=P,
+            **estimates(problem.layout, x, P),
             runtime_s=track.runtime_s + time.perf_counter() - begun,
             step_s=None,
             **_counts(assembly, last),

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.state import Layout
+from relnav_graph.core.track import Statics
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.weights import residual_weights, thresholds
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
+from relnav_graph.linear.conditionals import Anchor, Conditionals, Marginals, anchor_of
+from relnav_graph.linear.elimination import System, linearize
 from relnav_graph.maths.losses import Loss
 
-__all__ = ["Solution", "at_rounding", "is_small", "solve", "solve_gated"]
+__all__ = ["Solution", "at_rounding", "is_small", "smoothed", "solve", "solve_gated"]
 
 #: A step of fewer sigmas is none. Where rounding is more than that, as on long passes far from
 #: the target, it shows in steps that are small, in sigmas of a state, and stay as long.
@@ -42,6 +46,19 @@ class Solution:
     weights: Array
     distance: float
     iterations: int
+
+
+def smoothed(
+    layout: Layout, x: Array, found: Marginals, part: slice = slice(None)
+) -> dict[str, Any]:
+    """layout, x, P and statics of a smoothed track: states x (K, size) of some epochs, all by
+    default, and their covariances."""
+    size, statics = layout.moving.size, None
+    if layout.statics:
+        P = np.broadcast_to(found.statics, (len(x), *found.statics.shape))
+        statics = Statics(layout.statics, x[:, size:], P, found.cross[part])
+        x = x[:, :size]
+    return {"layout": layout.moving, "x": x, "P": found.P[part], "statics": statics}
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +95,9 @@ class _Linearisation:
         Scaled by the diagonal of the information, as is usual, damping would freeze the weak
         directions, which many states share: there a state's own sigma is large.
         """
-        variances = np.einsum("kii->ki", system.conditionals.covariances())
+        found = system.conditionals.marginals()
+        statics = np.tile(np.diag(found.statics), (len(system.x), 1))
+        variances = np.hstack([np.einsum("kii->ki", found.P), statics])
         return self.at(system.x, [system], np.sqrt(damping / variances)).conditionals
 
     def moved(self, system: System, step: Array, best: System) -> System | None:
@@ -118,7 +137,8 @@ def solve(
     tolerance: float = 1e-3,
     max_iterations: int = 50,
 ) -> Solution:
-    """Minimise the whole cost from the trajectory x (N, size), stored vectors.
+    """Minimise the whole cost from the trajectory x (N, size), stored vectors; static blocks from
+    those of its last row.
 
     weights: (observations,), square roots of the weights, held fixed.
 
@@ -129,7 +149,7 @@ def solve(
     depends on the state is taken at the first trajectory, so that the cost stays one
     function. Raises EstimationError on a system without a solution.
     """
-    anchor = prior if isinstance(prior, Anchor) else anchor_of(prior)
+    anchor, x = prior if isinstance(prior, Anchor) else anchor_of(prior), assembly.layout.held(x)
     whiten = assembly.whitening(x[:-1])
     the_pass = _Linearisation(assembly, anchor, whiten, weights)
     best = system = the_pass.at(x)
@@ -138,7 +158,7 @@ def solve(
     while iteration < max_iterations:
         iteration += 1
         before, distance = distance, np.sqrt(2 * system.conditionals.decrease())
-        if damping == 0.0 and at_rounding(distance, before, system.conditionals.d.size):
+        if damping == 0.0 and at_rounding(distance, before, system.conditionals.states):
             break
         after = the_pass.moved(system, conditionals.solution(), best)
         better = after is not None and after.cost <= best.cost * (1 + COST_ROUNDING)

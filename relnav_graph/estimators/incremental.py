@@ -24,16 +24,17 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
-from relnav_graph.estimators.gauss_newton import Solution, solve, solve_gated
+from relnav_graph.estimators.gauss_newton import Solution, smoothed, solve, solve_gated
 from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import Anchor, Conditionals, anchor_of, linearize
+from relnav_graph.linear.conditionals import Anchor, Conditionals, anchor_of
+from relnav_graph.linear.elimination import linearize
 
 __all__ = ["Incremental", "IncrementalSmoother"]
 
@@ -138,11 +139,13 @@ class IncrementalSmoother:
     def _extended(self, s: SmootherState, done: FilterSweep) -> SmootherState:
         """The state with one more epoch; the epoch before is linearised at its latest estimate."""
         layout, assembly, x = self.problem.layout, done.assembly, done.end.x[None]
-        whiten = np.zeros((0, layout.dim, layout.dim))
+        n = layout.moving.dim
+        whiten = np.zeros((0, n, n))
         if s.last is None:
             c = linearize(assembly, anchor_of(self.problem.prior), x, whiten, done.weights)
         else:
-            x, whiten = np.stack([s.x, x[0]]), assembly.whitening_of(done.x_predicted, done.Q)
+            x = layout.held(np.stack([s.x, x[0]]))
+            whiten = assembly.whitening_of(done.x_predicted, done.Q)
             c = linearize(assembly.preceded(), s.last.anchor, x, whiten, done.weights)
         last = _Part(s.last, assembly, done.weights, x, c.conditionals)
         after = self._moved(s, last, last.conditionals.solution()[-1])
@@ -246,13 +249,15 @@ class Incremental:
         smoother = self.engine(source.problem)
         done, begun = drive(source, smoother), time.perf_counter()
         problem, status, message = done.problem, "diverged", done.stopped
-        x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
+        layout = problem.layout
+        found = estimates(layout, np.full_like(done.x, np.nan), np.full_like(done.P, np.nan))
         rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
         cautions, seconds = tuple[Caution, ...](), 0.0
         if not done.stopped:
             try:
                 assembly, solution = smoother.finish()
-                x, P = solution.x, solution.conditionals.covariances()
+                marginals = solution.conditionals.marginals()
+                found = smoothed(layout, solution.x, marginals)
                 rejected |= count_rejected(assembly, solution.weights)
                 downweighted = count_downweighted(assembly, solution.weights)
                 away = lost(assembly, solution.weights)
@@ -260,7 +265,7 @@ class Incremental:
                 status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
                 seconds = time.perf_counter() - begun
                 if status == "ok":
-                    cautions = second_look(assembly, problem.prior, solution, P)
+                    cautions = second_look(assembly, problem.prior, solution, marginals)
             except UNSOLVED as error:
                 message = str(error)
         track = done.track(
@@ -271,13 +276,12 @@ class Incremental:
             downweighted=downweighted,
             cautions=cautions,
         )
-        smoothed = replace(
+        ended = replace(
             track,
             name=f"{self.kind}_smoothed",
             kind="smoothed",
-            x=x,
-            P=P,
+            **found,
             runtime_s=track.runtime_s + (seconds or time.perf_counter() - begun),
             step_s=None,
         )
-        return replace(track, smoothed=smoothed)
+        return replace(track, smoothed=ended)

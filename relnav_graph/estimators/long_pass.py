@@ -20,11 +20,12 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, run_filter
-from relnav_graph.estimators.gauss_newton import at_rounding
+from relnav_graph.estimators.gauss_newton import at_rounding, smoothed
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.weights import count_downweighted, count_rejected
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import Anchor, Conditionals, System, anchor_of, linearize
+from relnav_graph.linear.conditionals import Anchor, Conditionals, anchor_of
+from relnav_graph.linear.elimination import System, linearize
 
 __all__ = ["smooth_long_pass"]
 
@@ -84,13 +85,13 @@ def _forward(parts: list[_Part]) -> tuple[float, float]:
     cost = squared = 0.0
     for part, system, after in zip(parts, _systems(parts), [*parts[1:], None], strict=True):
         c = system.conditionals
-        own = c.d[:-1] if after is not None else c.d
-        squared += float(np.sum(own**2))
+        squared += 2 * c.decrease()
         cost += system.cost
         if after is not None:  # its first row repeats this one's last
             after.x[0] = after.first[0] = part.x[-1]
-            after.anchor = Anchor(part.x[-1].copy(), c.R[-1].copy(), c.d[-1].copy())
-            cost -= 0.5 * float(c.d[-1] @ c.d[-1])
+            after.anchor = c.anchor(part.x[-1].copy())
+            squared -= float(after.anchor.d @ after.anchor.d)
+            cost -= 0.5 * float(after.anchor.d @ after.anchor.d)
     return cost, float(np.sqrt(squared))
 
 
@@ -119,7 +120,8 @@ def smooth_long_pass(
     cannot go through, or when Gauss-Newton does not converge.
     """
     parts = list(_parts(problem, chain(problem.epochs, more), part))
-    states = problem.layout.dim * sum(len(one.x) for one in parts)
+    layout = problem.layout
+    states = layout.moving.dim * sum(len(one.x) for one in parts) + layout.statics.dim
     (cost, distance), before = _forward(parts), np.inf
     for _ in range(max_iterations):
         if distance < tolerance or at_rounding(distance, before, states):
@@ -132,16 +134,14 @@ def smooth_long_pass(
         raise EstimationError("the cost is not finite")
     P_end: Array | None = None
     for one, system in zip(parts[::-1], _systems(parts[::-1]), strict=True):
-        P = system.conditionals.covariances(P_end)
+        found = system.conditionals.marginals(P_end)
         own = slice(0 if one is parts[0] else 1, None)
         yield Track(
             name="batch",
             kind="smoothed",
-            layout=problem.layout,
             t=one.assembly.times[own],
-            x=one.x[own],
-            P=P[own],
+            **smoothed(layout, one.x[own], found, own),
             rejected=count_rejected(one.assembly, one.weights),
             downweighted=count_downweighted(one.assembly, one.weights),
         )
-        P_end = P[0]
+        P_end = found.whole(slice(1))[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.linear.filter import FAILURES
@@ -58,10 +58,8 @@ class Rts:
         return Track(
             name=self.kind,
             kind="smoothed",
-            layout=problem.layout,
             t=problem.times,
-            x=x,
-            P=P,
+            **estimates(problem.layout, x, P),
             status=status,
             message=message,
             runtime_s=time.perf_counter() - start,

@@ -23,7 +23,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.estimators.gauss_newton import Solution, solve
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import Anchor, anchor_of
+from relnav_graph.linear.conditionals import Anchor, Marginals, anchor_of
 from relnav_graph.linear.whitening import inverse_cholesky
 
 __all__ = ["SECOND_LOOK", "second_look"]
@@ -40,43 +40,47 @@ FAR, RISES = 2.0, (0.6, 1.6)
 
 
 def second_look(
-    assembly: Assembly, prior: Prior, solution: Solution, P: Array
+    assembly: Assembly, prior: Prior, solution: Solution, found: Marginals
 ) -> tuple[Caution, ...]:
     """A caution where the covariances of a solution do not describe it, else none.
 
-    P (N, n, n): its covariances. Takes one to two times as long as the batch estimate. The draws
+    Takes one to two times as long as the batch estimate. The draws
     are the same each time. Covariances that rounding has left not positive definite are doubted
     too: the estimate stands, and nothing can be drawn from them.
     """
     try:
-        return _look(assembly, prior, solution, P)
+        return _look(assembly, prior, solution, found)
     except (np.linalg.LinAlgError, InputError) as error:
         return (Caution(SECOND_LOOK, f"no second look could be taken: {error}"),)
 
 
-def _look(assembly: Assembly, prior: Prior, solution: Solution, P: Array) -> tuple[Caution, ...]:
+def _look(
+    assembly: Assembly, prior: Prior, solution: Solution, found: Marginals
+) -> tuple[Caution, ...]:
     """`second_look` of covariances that are positive definite; else raises."""
     layout, x, rng = assembly.layout, solution.x, np.random.default_rng(np.random.SeedSequence(0))
-    L, W, own = np.linalg.cholesky(P[0]), inverse_cholesky("the estimate", P[0]), anchor_of(prior)
+    first, moving, P = found.whole(slice(1))[0], layout.moving, found.P
+    L, W, own = np.linalg.cholesky(first), inverse_cholesky("the estimate", first), anchor_of(prior)
     for z in rng.standard_normal((DRAWS, layout.dim)):
         for d in (L @ z, -(L @ z)):
             start, length = x.copy(), float(np.linalg.norm(z))
             start[0] = layout.retract(x[0], d)
+            start[:, moving.size :] = start[0, moving.size :]
             held = Anchor(start[0], W / HELD, np.zeros(layout.dim))
             try:
-                found = solve(
+                other = solve(
                     *(assembly, held, start, solution.weights),
                     tolerance=0.3,
                     max_iterations=ITERATIONS,
                 )
             except UNSOLVED as error:
                 return (_caution(length, f"there is no trajectory from there: {error}"),)
-            e, _ = own.rows(layout, found.x[0])
-            rise = (found.cost + 0.5 * float(e @ e) - solution.cost) / (0.5 * length**2)
-            far = _distances(layout, x, P, found.x)
+            e, _ = own.rows(layout, other.x[0])
+            rise = (other.cost + 0.5 * float(e @ e) - solution.cost) / (0.5 * length**2)
+            far = _distances(moving, x[:, : moving.size], P, other.x[:, : moving.size])
             k = int(far.argmax())
             if far[k] > FAR * length:
-                moved = _most_moved(layout, x[k], P[k], found.x[k])
+                moved = _most_moved(moving, x[k], P[k], other.x[k])
                 return (
                     _caution(
                         length,

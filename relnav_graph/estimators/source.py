@@ -12,7 +12,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.linear.assembly import Assembly
 
@@ -105,10 +105,8 @@ class Driven:
         return Track(
             name=kind,
             kind="filtered",
-            layout=self.problem.layout,
             t=self.problem.times,
-            x=self.x,
-            P=self.P,
+            **estimates(self.problem.layout, self.x, self.P),
             runtime_s=float(self.step_s.sum()),
             step_s=self.step_s,
             **found,

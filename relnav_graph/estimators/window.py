@@ -13,7 +13,8 @@ from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import Anchor, Conditionals, linearize
+from relnav_graph.linear.conditionals import Anchor, Conditionals
+from relnav_graph.linear.elimination import linearize
 
 __all__ = ["Chain", "Left", "Window", "joined", "linearized"]
 
@@ -34,26 +35,33 @@ class Left:
 
     def covariances(self) -> Array:
         """P (m, n, n)."""
-        return self.conditionals.covariances()[self.first : self.first + len(self.t)]
+        part = slice(self.first, self.first + len(self.t))
+        return self.conditionals.marginals().whole(part)
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """K epochs linearised at x (K, size), and eliminated.
+    """K epochs linearised at x (K, size), and eliminated; static blocks at one value for all.
 
-    known (K, n, n + 1): U, u of each, see `relnav_graph.linear.elimination.System`; conditionals:
-    of each given the next one; d (K, n): the estimates, from x.
+    known (K, n, n + m + 1), statics (K, m + 1, m + 1): of each, see
+    `relnav_graph.linear.elimination.System`; conditionals: of each given the next one;
+    d (K, n + m): the estimates, from x.
     """
 
     x: Array
     known: Array
+    statics: Array
     conditionals: Conditionals
     d: Array
 
     def summary(self, k: int) -> Anchor:
         """All that is known of epoch k from the data up to it, as a linear summary."""
+        n, m = self.known.shape[1], self.statics.shape[1] - 1
+        W, d = np.zeros((n + m, n + m)), np.empty(n + m)
         known = self.known[k]
-        return Anchor(self.x[k], np.ascontiguousarray(known[:, :-1]), known[:, -1].copy())
+        W[:n, :n], d[:n], W[:n, n:] = known[:, :n], known[:, n], known[:, n + 1 :]
+        W[n:, n:], d[n:] = self.statics[k, :m, :m], self.statics[k, :m, m]
+        return Anchor(self.x[k], W, d)
 
     def estimates(self, layout: Layout, part: slice = slice(None)) -> Array:
         """The states (K, size), or some of them."""
@@ -61,16 +69,21 @@ class Chain:
 
     def moved(self) -> Array:
         """How far each estimate is from its linearisation point, (K,), in sigmas of its
-        covariance when it was the newest."""
-        away = self.known[:, :, :-1] @ self.d[:, :, None]
+        covariance when it was the newest; the first one at least as far as the static blocks."""
+        n, m = self.known.shape[1], self.statics.shape[1] - 1
+        away = self.known[:, :, :n] @ self.d[:, :n, None]
+        if m:
+            away += self.known[:, :, n + 1 :] @ self.d[:, n:, None]
         distance: Array = np.sqrt(np.square(away).sum(axis=(1, 2)))
+        if m:
+            static = self.conditionals.R_s @ self.d[0, n:]
+            distance[0] = max(distance[0], float(np.linalg.norm(static)))
         return distance
 
     def since(self, k: int) -> Chain:
         """The chain without its first k epochs."""
-        c = self.conditionals
-        rest = Conditionals(c.R[k:], c.S[k:], c.d[k:])
-        return Chain(self.x[k:], self.known[k:], rest, self.d[k:])
+        rest = self.conditionals.since(k)
+        return Chain(self.x[k:], self.known[k:], self.statics[k:], rest, self.d[k:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +122,12 @@ class Window:
 def linearized(w: Window, x: Array, first: int = 0) -> Chain:
     """The chain of a window linearised at x (K, size); the states before `first` as they
     were. Raises EstimationError when an observation that counts is impossible there."""
-    old, anchor, at = w.chain, w.anchor, x
+    old, anchor, at = w.chain, w.anchor, w.parts[0].layout.held(x)
     if first:
         assert old is not None
-        anchor = old.summary(first - 1)
+        anchor, size = old.summary(first - 1), w.parts[0].layout.moving.size
         at = np.concatenate([anchor.x[None], x[first:]])
+        at[:, size:] = anchor.x[size:]  # static blocks move only where all is linearised anew
     begin = max(first - w.lead, 0)
     assembly = joined(w.parts[begin:], w.lead or first)
     whiten = assembly.whitening(at[:-1])
@@ -121,18 +135,14 @@ def linearized(w: Window, x: Array, first: int = 0) -> Chain:
     system = linearize(assembly, anchor, at, whiten, weights, keep=True)
     if system.status.any():
         raise EstimationError("an observation has become impossible")
-    known, c = system.known, system.conditionals
+    known, statics, c = system.known, system.statics, system.conditionals
     if first:
         assert old is not None
-        before, keep = old.conditionals, first - 1
         known = np.concatenate([old.known[:first], known[1:]])
-        c = Conditionals(
-            np.concatenate([before.R[:keep], c.R]),
-            np.concatenate([before.S[:keep], c.S]),
-            np.concatenate([before.d[:keep], c.d]),
-        )
-        x = np.concatenate([old.x[:first], x[first:]])
-    return Chain(x, known, c, c.solution())
+        statics = np.concatenate([old.statics[:first], statics[1:]])
+        c = c.after(old.conditionals, first - 1)
+        at = np.concatenate([old.x[:first], at[1:]])
+    return Chain(at, known, statics, c, c.solution())
 
 
 def joined(parts: Sequence[Assembly], preceded: int) -> Assembly:

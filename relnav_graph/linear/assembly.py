@@ -298,7 +298,7 @@ class Assembly:
             raise GeometryError(f"{where}: {sensor.failure(int(status[i]))}")
 
     def measure(self, x: Array, weight: Array) -> MeasurementRows:
-        """Rows of all observations at the states x (N, size).
+        """Rows of all observations at the states x (N, size), H to the tangents of all blocks.
 
         weight: (observations,), the square root of a robust weight; 0 leaves one out. An
         observation that is impossible at its state has status > 0 and rows of zeros.
@@ -330,21 +330,25 @@ class Assembly:
     def predict(self, x: Array, P: Array) -> tuple[Array, Array]:
         """``x- = f(x)``, ``P- = F P F^T + Q`` at the end of the only interval.
 
-        x: (size,); P: (n, n). Returns the same shapes. Raises as `transition`.
+        x: (size,); P: (dim, dim), of all blocks. Returns the same shapes. Raises as `transition`.
         """
         ahead, F, Q = self.transition(x[None])
-        P = F[0] @ P @ F[0].T + Q[0]
+        whole, n = np.eye(self.layout.dim), len(Q[0])
+        whole[:n] = F[0]
+        P = whole @ P @ whole.T
+        P[:n, :n] += Q[0]
         return ahead[0], 0.5 * (P + P.T)
 
     def transition(self, x: Array) -> tuple[Array, Array, Array]:
-        """x_next (M, size), F and Q (M, n, n) of all intervals, from x (M, size).
+        """x_next (M, size), F (M, n, dim) and Q (M, n, n) of all intervals, from x (M, size).
 
-        For what these are see `relnav_graph.linear.rows.propagate`.
+        n: tangent dimension of the blocks that move, dim: of all blocks; for what these are see
+        `relnav_graph.linear.rows.propagate`.
         Raises ModelError when a kernel breaks its contract, GeometryError when it says
         that an interval cannot be propagated.
         """
-        m, n = len(self.tables.starts), self.layout.dim
-        x_next, F, Q = np.zeros((m, self.layout.size)), np.empty((m, n, n)), np.empty((m, n, n))
+        m, n = len(self.tables.starts), self.layout.moving.dim
+        x_next, F, Q = np.array(x), np.empty((m, n, self.layout.dim)), np.empty((m, n, n))
         failure = np.zeros(3, dtype=np.int64)
         rows.transition(self.tables, x, x_next, F, Q, failure)
         self.check_propagated(failure)
@@ -368,7 +372,7 @@ class Assembly:
         whiten, failure = np.zeros_like(Q), np.zeros(3, dtype=np.int64)
         if not np.einsum("kii->ki", Q).all():
             Q = with_constraints(Q)
-        rows.whitening(self.tables, Q, x_next, self.layout.kinds, whiten, failure)
+        rows.whitening(self.tables, Q, x_next, self.layout.moving.kinds, whiten, failure)
         if failure[2]:
             name = list(self._processes)[failure[1]]
             _, own = self.layout.gather(self._processes[name].advances)
@@ -381,4 +385,4 @@ class Assembly:
         whiten: (M, n, n). Raises as :meth:`transition` does.
         """
         x_next, F, _ = self.transition(np.ascontiguousarray(x[:-1]))
-        return process_rows(self.layout, x_next, x[1:], F, whiten)
+        return process_rows(self.layout.moving, x_next, x[1:], F, whiten)

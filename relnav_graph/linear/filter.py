@@ -106,8 +106,10 @@ class FilterOutput(NamedTuple):
     """What a filter fills in; see `filter_epochs`.
 
     x_predicted (N, size), P_predicted (N, n, n): before the update; F (N or 1, n, n), Q
-    (1, n, n): of the interval that leads to the epoch; x (N, size), P (N, n, n): after the
-    update; nis, used (N,); weights (observations,).
+    (1, q, q): of the interval that leads to the epoch, q of the blocks that move; x (N, size),
+    P (N, n, n): after the update; nis, used (N,); weights (observations,).
+
+    The rows of F that belong to static blocks must be those of the unit matrix.
     """
 
     x_predicted: Array
@@ -166,14 +168,15 @@ def filter_epochs(
         slot = k % F.shape[0]
         failure[3] = k
         if k >= lag:
+            dense.put_vector(x_predicted[k], 0, xk)
             a, status = propagate(tables, k - lag, xk, x_predicted[k], F[slot], Q[0])
             if status != 0:
                 failure[0], failure[1], failure[2] = PROPAGATED, a, status
                 return
             dense.put_vector(xk, 0, x_predicted[k])
             sandwich(F[slot], Pk, P_predicted[k])
-            for i in range(n):
-                for j in range(n):
+            for i in range(Q.shape[1]):
+                for j in range(Q.shape[1]):
                     P_predicted[k, i, j] += Q[0, i, j]
             copy(P_predicted[k], Pk)
         else:

@@ -1,4 +1,5 @@
-"""A pass as a chain of epochs in GTSAM: one variable per epoch, its whole error state.
+"""A pass as a chain of epochs in GTSAM: one variable per epoch, its whole error state, and one for
+all static blocks.
 
 GTSAM's own elimination of the rows of `relnav_graph.linear.assembly`, in order of time: slower than
 `relnav_graph.linear.elimination`, and its check. One variable per epoch is about three times
@@ -7,49 +8,48 @@ cheaper than one per block.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import gtsam
-import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.linear.assembly import Assembly, MeasurementRows
-from relnav_graph.linear.elimination import Anchor, Conditionals
+from relnav_graph.linear.conditionals import Anchor, Conditionals
 from relnav_graph.linear.intervals import ProcessRows
 
 __all__ = [
+    "STATICS",
     "Rows",
     "chain_factors",
     "chain_rows",
     "eliminate",
-    "epoch_factor",
-    "interval_factor",
+    "row_factor",
 ]
 
 
-def epoch_factor(key: int, A: Array, error: Array) -> gtsam.JacobianFactor:
-    """The factor ``|error + A d|^2 / 2`` of whitened rows on one epoch's step d.
+#: The key of the static blocks' step.
+STATICS = gtsam.symbol("s", 0)
 
-    A: (rows, n); error: (rows,). key: number of the epoch.
+
+def row_factor(parts: Mapping[int, Array], error: Array) -> gtsam.JacobianFactor:
+    """The factor ``|error + sum of A d|^2 / 2`` of whitened rows on steps d.
+
+    parts: A (rows, dim) by key, the number of an epoch or `STATICS`; error: (rows,).
     """
-    return gtsam.JacobianFactor(key, A, -error, gtsam.noiseModel.Unit.Create(len(error)))
-
-
-def interval_factor(key: int, A: Array, B: Array, error: Array) -> gtsam.JacobianFactor:
-    """The factor ``|error + A d_key + B d_key+1|^2 / 2`` of whitened rows on two epochs' steps.
-
-    A, B: (rows, n); error: (rows,). key: number of the earlier epoch.
-    """
-    model = gtsam.noiseModel.Unit.Create(len(error))
-    return gtsam.JacobianFactor(key, A, key + 1, B, -error, model)
+    terms: list[Any] = [term for key, A in parts.items() if A.shape[1] for term in (key, A)]
+    make: Any = gtsam.JacobianFactor  # its stubs know lists of up to three keys only
+    made: gtsam.JacobianFactor = make(*terms, -error, gtsam.noiseModel.Unit.Create(len(error)))
+    return made
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
     """The whitened rows of a pass at one trajectory.
 
-    e (n,), A (n, n): rows e + A d_0 of the anchor; process: of the intervals; measurements: of
-    the observations; offsets (N + 1,): where each epoch's measurement rows begin.
+    e (n + m,), A (n + m, n + m): rows e + A d of the anchor; process: of the intervals;
+    measurements: of the observations; offsets (N + 1,): where each epoch's measurement rows begin.
     """
 
     e: Array
@@ -57,6 +57,11 @@ class Rows:
     process: ProcessRows
     measurements: MeasurementRows
     offsets: Indices
+
+    @property
+    def states(self) -> int:
+        """n: states of an epoch, without the static ones, whose columns are the last of A."""
+        return int(self.process.B.shape[-1])
 
 
 def chain_rows(assembly: Assembly, anchor: Anchor, x: Array, whiten: Array, weight: Array) -> Rows:
@@ -71,35 +76,40 @@ def chain_rows(assembly: Assembly, anchor: Anchor, x: Array, whiten: Array, weig
 
 
 def chain_factors(rows: Rows) -> list[gtsam.JacobianFactor]:
-    """All factors, in order of time."""
-    m, p, offsets = rows.measurements, rows.process, rows.offsets
-    factors = [epoch_factor(0, rows.A, rows.e)]
+    """All factors, in order of time; keys are the numbers of epochs, and `STATICS`."""
+    m, p, offsets, n = rows.measurements, rows.process, rows.offsets, rows.states
+    factors = [row_factor({0: rows.A[:, :n], STATICS: rows.A[:, n:]}, rows.e)]
     for k in range(len(offsets) - 1):
         own = slice(offsets[k], offsets[k + 1])
         if offsets[k + 1] > offsets[k]:
-            factors.append(epoch_factor(k, m.H[own], m.r[own]))
+            factors.append(row_factor({k: m.H[own, :n], STATICS: m.H[own, n:]}, m.r[own]))
         if k < len(p.e):
-            factors.append(interval_factor(k, p.A[k], p.B[k], p.e[k]))
+            A = p.A[k]
+            factors.append(row_factor({k: A[:, :n], k + 1: p.B[k], STATICS: A[:, n:]}, p.e[k]))
     return factors
 
 
-def eliminate(factors: list[gtsam.JacobianFactor], count: int, n: int) -> Conditionals:
-    """Eliminate the epochs in order of time, by QR.
+def eliminate(factors: list[gtsam.JacobianFactor], count: int, n: int, m: int = 0) -> Conditionals:
+    """Eliminate the epochs in order of time, then the static blocks, by QR.
 
-    count: number N of epochs; n: dimension of an epoch's tangent. GTSAM's Cholesky would reject
-    ordinary ratios of process to state noise. Raises RuntimeError when the factors do not
-    determine every epoch.
+    count: number N of epochs; n, m: dimensions of an epoch's tangent, and of the static one.
+    GTSAM's Cholesky would reject ordinary ratios of process to state noise. Raises RuntimeError
+    when the factors do not determine every epoch.
     """
     graph, ordering = gtsam.GaussianFactorGraph(), gtsam.Ordering()
     for factor in factors:
         graph.push_back(factor)
-    for k in range(count):
-        ordering.push_back(k)
+    for key in [*range(count), *([STATICS] if m else [])]:
+        ordering.push_back(key)
     net = graph.eliminateSequential(ordering, gtsam.EliminateQR)
-    R, S, d = np.zeros((count, n, n)), np.zeros((count - 1, n, n)), np.empty((count, n))
+    out = Conditionals.empty(count, n, m)
     for k in range(count):
         conditional = net.at(k)
-        R[k], d[k] = conditional.R(), conditional.d()
+        out.R[k], out.d[k] = conditional.R(), conditional.d()
+        parents = conditional.S()
+        out.T[k] = parents[:, parents.shape[1] - m :]
         if k < count - 1:
-            S[k] = conditional.S()
-    return Conditionals(R, S, d)
+            out.S[k] = parents[:, :n]
+    if m:
+        out.R_s[:], out.d_s[:] = net.at(count).R(), net.at(count).d()
+    return out

@@ -28,12 +28,14 @@ from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of
+from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.intervals import process_rows
 from relnav_graph.maths.losses import Loss
 
 __all__ = [
+    "Look",
     "NoiseModel",
+    "Way",
     "insert_block",
     "interval_factor",
     "measurement_factor",
@@ -120,6 +122,26 @@ def _noise_model(kind: str, rows: int, observations: int, model: NoiseModel | No
     return model
 
 
+class Look:
+    """What the factors of one sensor have in common: the blocks that it reads, and buffers."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor, self.layout = sensor, Layout(sensor.reads)
+        self.columns = [self.layout.tangent(b.name) for b in self.layout]
+        self.reader = _Reader(self.layout)
+
+
+class Way:
+    """What the factors of one process have in common: the blocks at both ends, and buffers."""
+
+    def __init__(self, process: Dynamics) -> None:
+        self.process, self.layout = process, Layout(process.advances, process.reads)
+        self.end = Layout(process.advances)
+        self.columns = [self.layout.tangent(b.name) for b in self.layout]
+        self.columns += [self.end.tangent(b.name) for b in self.end]
+        self.reader, self.reader_next = _Reader(self.layout), _Reader(self.end)
+
+
 def measurement_factor(
     sensor: Sensor, m: Measurement, keys: Sequence[int], model: NoiseModel | None = None
 ) -> gtsam.CustomFactor:
@@ -131,14 +153,14 @@ def measurement_factor(
     and ModelError when the model breaks its contract. Raises InputError on wrong keys or a model
     that does not fit.
     """
-    layout = Layout(sensor.reads)
-    _check_keys(sensor.kind, keys, layout.blocks)
-    assembly = Assembly(layout, {}, {m.sensor: sensor}, [Epoch(m.t, (m,))])
-    return observation_factor(sensor, assembly, keys, np.ones(assembly.observations), model)
+    look = Look(sensor)
+    _check_keys(sensor.kind, keys, look.layout.blocks)
+    assembly = Assembly(look.layout, {}, {m.sensor: sensor}, [Epoch(m.t, (m,))])
+    return observation_factor(look, assembly, keys, np.ones(assembly.observations), model)
 
 
 def observation_factor(
-    sensor: Sensor,
+    look: Look,
     assembly: Assembly,
     keys: Sequence[int],
     weight: Array,
@@ -148,9 +170,7 @@ def observation_factor(
 
     weight (observations,): square roots of their weights; 0 leaves one out.
     """
-    layout = assembly.layout
-    columns = [layout.tangent(b.name) for b in layout]
-    reader, weight = _Reader(layout), np.array(weight)
+    sensor, columns, reader, weight = look.sensor, look.columns, look.reader, np.array(weight)
 
     def error(
         factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
@@ -191,19 +211,18 @@ def process_factor(
     that is not positive definite or a model that does not fit.
     """
     blocks = process.advances + process.reads
-    layout = Layout(process.advances, process.reads)
+    way = Way(process)
     _check_keys(process.kind, [*keys, *keys_next], [*blocks, *process.advances])
     t_end = float(t + np.sum(np.asarray(u)[:, 0]))
     epoch = Epoch(t_end, (), {"process": np.ascontiguousarray(u, dtype=np.float64)})
-    assembly = Assembly(layout, {"process": process}, {}, [epoch], t_before=float(t))
-    start = layout.pack(dict(zip([b.name for b in blocks], noise_at, strict=True)))
-    n = Layout(process.advances).dim
-    whiten = assembly.whitening(start[None])[0, :n, :n]
-    return interval_factor(process, assembly, [*keys, *keys_next], whiten, model)
+    assembly = Assembly(way.layout, {"process": process}, {}, [epoch], t_before=float(t))
+    start = way.layout.pack(dict(zip([b.name for b in blocks], noise_at, strict=True)))
+    whiten = assembly.whitening(start[None])[0]
+    return interval_factor(way, assembly, [*keys, *keys_next], whiten, model)
 
 
 def interval_factor(
-    process: Dynamics,
+    way: Way,
     assembly: Assembly,
     keys: Sequence[int],
     whiten: Array,
@@ -213,29 +232,22 @@ def interval_factor(
 
     keys: at the start, then at the end; whiten (n, n): of the process noise of what is advanced.
     """
-    layout, advanced = assembly.layout, Layout(process.advances)
-    n, size = advanced.dim, advanced.size
-    columns = [layout.tangent(b.name) for b in layout]
-    columns_next = [advanced.tangent(b.name) for b in advanced]
-    reader, reader_next = _Reader(layout), _Reader(advanced)
-    whiten = np.array(whiten)[None]
+    begin, end, columns, whiten = len(way.layout), way.end, way.columns, np.array(whiten)[None]
 
     def error(
         factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
     ) -> Array:
         at = factor.keys()
-        x_next, F, _ = assembly.transition(reader.read(values, at[: len(columns)]))
-        x1 = reader_next.read(values, at[len(columns) :])
-        rows = process_rows(advanced, x_next[:, :size], x1, F[:, :n], whiten)
+        x_next, F, _ = assembly.transition(way.reader.read(values, at[:begin]))
+        x1 = way.reader_next.read(values, at[begin:])
+        rows = process_rows(end, x_next[:, : end.size], x1, F, whiten)
         if jacobians is not None:
             for i, part in enumerate(columns):
-                jacobians[i] = rows.A[0][:, part]
-            for i, part in enumerate(columns_next, len(columns)):
-                jacobians[i] = rows.B[0][:, part]
+                jacobians[i] = rows.A[0][:, part] if i < begin else rows.B[0][:, part]
         residual: Array = rows.e[0]
         return residual
 
-    noise = _noise_model(process.kind, n, 1, model)
+    noise = _noise_model(way.process.kind, end.dim, 1, model)
     return gtsam.CustomFactor(noise, list(keys), error)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import gtsam
 import numpy as np
@@ -16,12 +17,15 @@ from scipy.sparse.csgraph import connected_components
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import InputError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.gtsam_factors import (
+    Look,
+    Way,
     insert_block,
     interval_factor,
     observation_factor,
@@ -128,21 +132,30 @@ class PassFactors:
 
     problem: Problem
     keys: Keys
-    _models: dict[str, Assembly] = field(default_factory=dict)
+    _looks: dict[str, tuple[Look, Assembly]] = field(default_factory=dict)
+    _ways: dict[str, tuple[Way, Assembly]] = field(default_factory=dict)
+    _made: WeakKeyDictionary[Measurement | Epoch, dict[Any, Assembly]] = field(
+        default_factory=WeakKeyDictionary
+    )
 
-    def _assembled(self, name: str, epoch: Epoch, t_before: float | None) -> Assembly:
-        """One measurement or interval of one model, alone."""
-        if name not in self._models:
-            self._models[name] = self._new(name)
-        return self._models[name].again(epoch, t_before)
+    def __post_init__(self) -> None:
+        for name, sensor in self.problem.sensors.items():
+            look = Look(sensor)
+            self._looks[name] = look, Assembly(look.layout, {}, {name: sensor}, [])
+        for name, process in self.problem.processes.items():
+            way = Way(process)
+            self._ways[name] = way, Assembly(way.layout, {name: process}, {}, [])
 
-    def _new(self, name: str) -> Assembly:
-        kind, _, model = name.partition(" ")
-        if kind == "sensor":
-            sensor = self.problem.sensors[model]
-            return Assembly(Layout(sensor.reads), {}, {model: sensor}, [])
-        process = self.problem.processes[model]
-        return Assembly(Layout(process.advances, process.reads), {model: process}, {}, [])
+    def _assembled(
+        self, what: Measurement | Epoch, name: str, models: Assembly, t: float, t_before: Any = None
+    ) -> Assembly:
+        """One measurement or interval of one model, alone; made once for each."""
+        made = self._made.setdefault(what, {})
+        if (name, t_before) not in made:
+            inputs = what.inputs if isinstance(what, Epoch) else {}
+            seen = () if isinstance(what, Epoch) else (what,)
+            made[name, t_before] = models.again(Epoch(t, seen, inputs), t_before)
+        return made[name, t_before]
 
     def prior(self) -> list[gtsam.CustomFactor]:
         """Of the first epoch: one factor for each set of blocks that the prior correlates."""
@@ -167,30 +180,29 @@ class PassFactors:
         """
         out, first = [], 0
         for m in epoch.measurements:
-            sensor, w = self.problem.sensors[m.sensor], weight[first : first + len(m.z)]
+            (look, models), w = self._looks[m.sensor], weight[first : first + len(m.z)]
             first += len(m.z)
-            keys, loss = self.keys.at(k, Layout(sensor.reads)), losses.get(m.sensor)
+            keys, loss = self.keys.at(k, look.layout), losses.get(m.sensor)
             if loss is None:
                 each = [(m, w)]
             else:
                 rows = [[i] for i in np.flatnonzero(w)]
                 each = [(replace(m, z=m.z[i], ids=m.ids[i]), w[i]) for i in rows]
             for part, own in each:
-                one = self._assembled(f"sensor {m.sensor}", Epoch(epoch.t, (part,)), None)
-                out.append(observation_factor(sensor, one, keys, own, loss))
+                one = self._assembled(part, m.sensor, models, epoch.t)
+                out.append(observation_factor(look, one, keys, own, loss))
         return out
 
     def interval(
         self, k: int, epoch: Epoch, t_before: float, whiten: Array
     ) -> list[gtsam.CustomFactor]:
         """Of the interval from t_before, s, to epoch k; whiten (n, n): of its process noise."""
-        out, layout, alone = [], self.problem.layout, Epoch(epoch.t, (), epoch.inputs)
-        for name, process in self.problem.processes.items():
-            start = self.keys.at(k - 1, Layout(process.advances, process.reads))
-            keys = start + self.keys.at(k, Layout(process.advances))
-            one = self._assembled(f"process {name}", alone, t_before)
-            _, own = layout.gather(process.advances)
-            out.append(interval_factor(process, one, keys, whiten[np.ix_(own, own)]))
+        out, layout = [], self.problem.layout
+        for name, (way, models) in self._ways.items():
+            keys = self.keys.at(k - 1, way.layout) + self.keys.at(k, way.end)
+            one = self._assembled(epoch, name, models, epoch.t, t_before)
+            _, own = layout.gather(way.end)
+            out.append(interval_factor(way, one, keys, whiten[np.ix_(own, own)]))
         return out
 
 

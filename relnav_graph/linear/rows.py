@@ -227,14 +227,13 @@ def _add_spreads(
 def propagate(
     tables: Tables, k: int, x: Array, x_next: Array, F: Array, Q: Array
 ) -> tuple[int, int]:
-    """Fill x_next (size,), F and Q (n, n) of interval k from the state x (size,).
+    """Fill x_next (size,), F (n, columns) and Q (n, n) of interval k from the state x (size,).
 
     ``x_next = f(x)``, ``F = d x_next / d x`` between tangents, Q the covariance of the process
-    noise. Returns the number and status of the process that failed; -1, 0 when none did.
+    noise, n of the blocks that move. What belongs to static blocks in x_next, and in further rows
+    of F, is left as it is. Returns the number and status of the process that failed; -1, 0 when
+    none did.
     """
-    for i in range(F.shape[0]):
-        for j in range(F.shape[1]):
-            F[i, j] = Q[i, j] = 0.0
     intervals, places, numbers = tables.intervals, tables.places, tables.numbers
     for a in range(tables.processes.shape[0]):
         process = tables.processes[a]
@@ -270,6 +269,10 @@ def propagate(
         for i in range(size):
             x_next[scatter[i]] = x_out[i]
         for i in range(m):
+            for j in range(F.shape[1]):
+                F[rows[i], j] = 0.0
+            for j in range(Q.shape[1]):
+                Q[rows[i], j] = 0.0
             for j in range(n):
                 F[rows[i], columns[j]] = f_out[i, j]
             for j in range(m):
@@ -292,7 +295,7 @@ def transition(
 ) -> None:
     """Propagate the states x (M, size) over all intervals.
 
-    Fills x_next (M, size), F and Q (M, n, n); see :func:`propagate`.
+    Fills x_next (M, size), F (M, n, columns) and Q (M, n, n); see :func:`propagate`.
     failure (3,): interval, process and status where one cannot be propagated.
     """
     for k in range(tables.starts.shape[0]):

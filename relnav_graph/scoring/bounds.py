@@ -16,7 +16,8 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.linear.assembly import Assembly, MeasurementRows
-from relnav_graph.linear.elimination import Anchor, linearize
+from relnav_graph.linear.conditionals import Anchor
+from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.whitening import inverse_cholesky
 
 __all__ = ["Bounds", "bounds", "true_trajectory"]

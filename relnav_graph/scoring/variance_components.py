@@ -21,7 +21,8 @@ from relnav_graph.core.contracts import Dynamics
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.weights import residual_weights
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of, linearize
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.gtsam_chain import Rows, chain_factors, chain_rows, eliminate
 
 __all__ = ["NoiseResiduals", "estimate_factors", "noise_residuals"]

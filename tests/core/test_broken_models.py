@@ -20,7 +20,7 @@ def test_models_called_from_python_are_guarded_too() -> None:
         assert "wrote past its arrays" in found[way, name]
 
 
-@pytest.mark.parametrize("how", ["assembly", "incremental"])
+@pytest.mark.parametrize("how", ["assembly", "isam2"])
 @pytest.mark.parametrize(
     ("name", "says"),
     [
@@ -44,7 +44,7 @@ def test_broken_sensor_is_a_named_error_and_no_crash(
     assert "fix" in verdict
 
 
-@pytest.mark.parametrize("how", ["assembly", "incremental"])
+@pytest.mark.parametrize("how", ["assembly", "isam2"])
 @pytest.mark.parametrize(
     ("name", "kernel"),
     [("nothing", "nothing"), ("arguments", "arguments"), ("not_compiled", "nothing")],
@@ -58,7 +58,7 @@ def test_kernel_of_another_form_is_a_named_error(
     assert kernel in verdict
 
 
-@pytest.mark.parametrize("how", ["assembly", "incremental"])
+@pytest.mark.parametrize("how", ["assembly", "isam2"])
 @pytest.mark.parametrize(
     ("name", "says"),
     [

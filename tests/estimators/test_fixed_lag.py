@@ -17,8 +17,8 @@ from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.fixed_lag import FixedLag
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of
-from relnav_graph.linear.gtsam_chain import epoch_factor, interval_factor
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.gtsam_chain import row_factor
 from relnav_graph.scenario.build import load_scenario
 
 WINDOW = 6.0
@@ -50,14 +50,14 @@ def _window_of_gtsam(problem: Problem) -> tuple[Array, Array]:
     for k, epoch in enumerate(problem.epochs):
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         own = slice(assembly.row_offsets[k], assembly.row_offsets[k + 1])
-        factors = [epoch_factor(k, rows.H[own], rows.r[own])]
+        factors = [row_factor({k: rows.H[own]}, rows.r[own])]
         if k:
             factors.append(
-                interval_factor(k - 1, process.A[k - 1], process.B[k - 1], process.e[k - 1])
+                row_factor({k - 1: process.A[k - 1], k: process.B[k - 1]}, process.e[k - 1])
             )
         else:
             e, W = anchor_of(problem.prior).rows(layout, reference[0])
-            factors.append(epoch_factor(0, W, e))
+            factors.append(row_factor({0: W}, e))
         for factor in factors:
             graph.push_back(gtsam.LinearContainerFactor(factor))
         values.insert(k, np.zeros(n))

@@ -93,7 +93,8 @@ def test_row_24_an_indeterminate_system(kind: str) -> None:
 
 def test_row_24_the_reason_names_blocks_and_times() -> None:
     from relnav_graph.linear.assembly import Assembly
-    from relnav_graph.linear.elimination import Anchor, linearize
+    from relnav_graph.linear.conditionals import Anchor
+    from relnav_graph.linear.elimination import linearize
 
     problem = toy()
     fixes = [m for m in toy_measurements() if m.sensor == "fix"]

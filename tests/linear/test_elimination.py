@@ -12,8 +12,9 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.incremental import WINDOW, IncrementalSmoother
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of, linearize
-from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows, eliminate, epoch_factor
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.elimination import linearize
+from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows, eliminate, row_factor
 from relnav_graph.scenario.build import load_scenario
 
 
@@ -36,7 +37,7 @@ def test_sweep_equals_gtsams_elimination(damped: bool) -> None:
     ours = linearize(assembly, anchor, x, whiten, weight, damping)
     factors = chain_factors(chain_rows(assembly, anchor, x, whiten, weight))
     if damping is not None:
-        factors += [epoch_factor(k, np.diag(d), np.zeros(len(d))) for k, d in enumerate(damping)]
+        factors += [row_factor({k: np.diag(d)}, np.zeros(len(d))) for k, d in enumerate(damping)]
     theirs = eliminate(factors, len(x), problem.layout.dim)
     P = theirs.covariances()
     sigma = sigmas(P)

@@ -12,7 +12,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.elimination import anchor_of
+from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scoring.variance_components import estimate_factors, noise_residuals
