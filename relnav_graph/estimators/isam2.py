@@ -42,7 +42,7 @@ from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.gtsam_extra import Extra, Piece, pieces
 from relnav_graph.linear.gtsam_graph import Graph, Keys, PassFactors, to_track
-from relnav_graph.linear.gtsam_tree import Tree, check_depth
+from relnav_graph.linear.gtsam_tree import Part, Tree, check_depth
 
 __all__ = ["Extra", "ISAM2Smoother", "Isam2", "Keys", "TreeState"]
 
@@ -50,24 +50,6 @@ __all__ = ["Extra", "ISAM2Smoother", "Isam2", "Keys", "TreeState"]
 FORCED, LAST = 4, 25
 #: Length of the last step, in sigmas over all states together, that ends either.
 NEAR, CONVERGED = 0.1, 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """What went into the tree in one update; `before` it, another part or none.
-
-    epochs, assembly, weights: of adjoining epochs, or none; factors, values: as GTSAM took them;
-    x (size,): where the newest epoch is linearised, of all blocks; pieces: the user's, with it.
-    """
-
-    before: _Part | None
-    epochs: tuple[Epoch, ...]
-    assembly: Assembly | None
-    weights: Array
-    factors: gtsam.NonlinearFactorGraph
-    values: gtsam.Values
-    x: Array
-    pieces: tuple[Piece, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,26 +66,19 @@ class TreeState:
     x: Array
     P: Array
     count: int = 0
-    last: _Part | None = None
+    last: Part | None = None
     due: int = 1
     done: FilterSweep | None = None
     waiting: tuple[Piece, ...] = ()
     own: gtsam.Values = field(default_factory=gtsam.Values)
 
-    def parts(self) -> list[_Part]:
+    def parts(self) -> list[Part]:
         """All parts, in order of time."""
-        out, one = list[_Part](), self.last
+        out, one = list[Part](), self.last
         while one is not None:
             out.append(one)
             one = one.before
         return out[::-1]
-
-
-def _graph(factors: list[Any]) -> gtsam.NonlinearFactorGraph:
-    out = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        out.push_back(factor)
-    return out
 
 
 class ISAM2Smoother:
@@ -164,7 +139,7 @@ class ISAM2Smoother:
     def _extended(self, s: TreeState, epoch: Epoch, done: FilterSweep) -> tuple[TreeState, Tree]:
         """The state with one more epoch, linearised where the filter has it."""
         k, keys, moving = s.count, self.keys, self.problem.layout.moving
-        x, values = np.array(done.end.x), gtsam.Values()
+        x, values, graph = np.array(done.end.x), gtsam.Values(), gtsam.NonlinearFactorGraph()
         factors = self._make.measurements(k, epoch, done.weights, {})
         if s.last is None:
             factors = self._make.prior() + factors
@@ -177,14 +152,14 @@ class ISAM2Smoother:
             x[moving.size :] = s.last.x[moving.size :]  # static blocks are in the tree already
         ready = tuple(piece for piece in s.waiting if piece.last <= k)
         waiting = tuple(piece for piece in s.waiting if piece.last > k)
-        part = _Part(
-            *(s.last, (epoch,), done.assembly, done.weights, _graph(factors), values, x), ()
-        )
+        for factor in factors:
+            graph.push_back(factor)
+        part = Part(s.last, (epoch,), done.assembly, done.weights, graph, values, x, ())
         after = replace(s, t=done.end.t, count=k + 1, done=done, waiting=waiting)
         return self._updated(after, s, part, ready)
 
     def _updated(
-        self, after: TreeState, before: TreeState, part: _Part, ready: tuple[Piece, ...]
+        self, after: TreeState, before: TreeState, part: Part, ready: tuple[Piece, ...]
     ) -> tuple[TreeState, Tree]:
         """The state after one more part, with what the user gave for it, and its tree."""
         for piece in ready:
@@ -208,8 +183,6 @@ class ISAM2Smoother:
         for part in s.parts():
             count += len(part.epochs)
             tree.update(part.factors, part.values, count - 1)
-            if part.before is not None or len(part.epochs) == 1:
-                tree.newest(count - 1, part.x)  # as it was asked then: it solves the top
         return tree
 
     def _relinearized(
@@ -223,15 +196,22 @@ class ISAM2Smoother:
         weights = np.concatenate([part.weights for part in parts])
         given = tuple(piece for part in parts for piece in part.pieces)
         best = tree.best()
-        found: tuple[_Part, Tree, float] = parts[-1], tree, np.inf
+        found: tuple[Part, Tree, float] = parts[-1], tree, np.inf
 
         def solve(x: Array, weights: Array) -> Array:
             nonlocal best, found
             whiten = assembly.whitening(x[:-1])
             for _ in range(forced):
-                whole = self._whole(epochs, assembly, x, weights, whiten, given, best)
-                tree = Tree(self.keys)
-                tree.update(whole.factors, whole.values, s.count - 1)
+                # What is impossible there is left out.
+                w = np.where(assembly.measure(x, weights).status == 0, weights, 0.0)
+                factors = self._make.whole(epochs, assembly, w, whiten, {})
+                values, tree = self.keys.values(x), Tree(self.keys)
+                for piece in given:
+                    values.insert(best.extract(list(piece.own)))
+                    for factor in piece.factors:
+                        factors.push_back(factor)
+                tree.update(factors, values, s.count - 1)
+                whole = Part(None, epochs, assembly, w, factors, values, x[-1], given)
                 found = whole, tree, tree.distance()
                 best = tree.best()
                 if not np.isfinite(found[2]):
@@ -246,31 +226,6 @@ class ISAM2Smoother:
         part, tree, distance = found
         x, P = tree.newest(s.count - 1, part.x)
         return replace(s, x=x, P=P, last=part), tree, assembly, distance
-
-    def _whole(
-        self,
-        epochs: tuple[Epoch, ...],
-        assembly: Assembly,
-        x: Array,
-        weights: Array,
-        whiten: Array,
-        given: tuple[Piece, ...],
-        best: gtsam.Values,
-    ) -> _Part:
-        """The whole history as one part, linearised at the trajectory x (N, size), with the user's
-        variables as in `best`. What is impossible there is left out."""
-        weights = np.where(assembly.measure(x, weights).status == 0, weights, 0.0)
-        factors: list[Any] = [*self._make.prior()]
-        for k, epoch in enumerate(epochs):
-            own = slice(*assembly.epoch_offsets[k : k + 2])
-            factors += self._make.measurements(k, epoch, weights[own], {})
-            if k:
-                factors += self._make.interval(k, epoch, epochs[k - 1].t, whiten[k - 1])
-        values = self.keys.values(x)
-        for piece in given:
-            factors += piece.factors
-            values.insert(best.extract(list(piece.own)))
-        return _Part(None, epochs, assembly, weights, _graph(factors), values, x[-1], given)
 
     # --- what a user adds ------------------------------------------------------------------
 
@@ -293,10 +248,19 @@ class ISAM2Smoother:
             return after
         assert state.last is not None
         nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        part = _Part(state.last, (), None, np.zeros(0), *nothing, state.last.x, ())
+        part = Part(state.last, (), None, np.zeros(0), *nothing, state.last.x, ())
         after, tree = self._updated(after, state, part, ready)
         self._cache = after, tree
         return after
+
+    def named(self, state: TreeState) -> int:
+        """The largest number of an epoch that a factor of the user's names, -1 for none."""
+        given = [piece for part in state.parts() for piece in part.pieces]
+        return max((piece.last for piece in (*given, *state.waiting)), default=-1)
+
+    def extra(self, arrays: Mapping[str, Array]) -> Extra:
+        """What the user gave, from the arrays (bytes,) that its `save` made."""
+        return Extra.load(arrays)
 
     def variables(self, state: TreeState) -> dict[int, tuple[Any, Array]]:
         """Value and covariance (d, d) of each variable of the user's in the tree, by key."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import gtsam
@@ -31,6 +31,23 @@ class Extra:
 
     factors: gtsam.NonlinearFactorGraph
     values: gtsam.Values = field(default_factory=gtsam.Values)
+
+    def save(self) -> dict[str, Array]:
+        """Both as arrays of bytes (n,), by name. Raises InputError on what GTSAM cannot write: a
+        `CustomFactor`, for one."""
+        try:
+            texts = {"factors": self.factors.serialize(), "values": self.values.serialize()}
+        except RuntimeError as error:
+            raise InputError(f"extra: cannot be saved: {str(error).strip()}") from error
+        return {name: np.frombuffer(text.encode(), np.uint8) for name, text in texts.items()}
+
+    @classmethod
+    def load(cls, arrays: Mapping[str, Array]) -> Extra:
+        """What :meth:`save` made arrays (n,) of."""
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for target, name in ((factors, "factors"), (values, "values")):
+            target.deserialize(np.asarray(arrays[name], np.uint8).tobytes().decode())
+        return cls(factors, values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ Variables of your own take keys that none of these have: any symbol with a capit
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -205,6 +205,28 @@ class PassFactors:
             out.append(interval_factor(way, one, keys, whiten[np.ix_(own, own)]))
         return out
 
+    def whole(
+        self,
+        epochs: Sequence[Epoch],
+        assembly: Assembly,
+        weights: Array,
+        whiten: Array,
+        losses: Mapping[str, Loss],
+    ) -> gtsam.NonlinearFactorGraph:
+        """All of a pass, in order of time; assembly: of its epochs; weights (observations,),
+        whiten (N - 1, n, n): as above."""
+        out = gtsam.NonlinearFactorGraph()
+        for factor in self.prior():
+            out.push_back(factor)
+        for k, epoch in enumerate(epochs):
+            own = slice(*assembly.epoch_offsets[k : k + 2])
+            found = self.measurements(k, epoch, weights[own], losses)
+            if k:
+                found += self.interval(k, epoch, epochs[k - 1].t, whiten[k - 1])
+            for factor in found:
+                out.push_back(factor)
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class Graph:
@@ -238,16 +260,7 @@ def graph_of(problem: Problem, x: Array, weights: Array | None = None) -> Graph:
         raise InputError(f"weights: found {weights.shape}, expected ({assembly.observations},)")
     weights = np.where(assembly.measure(x, weights).status == 0, weights, 0.0)
     whiten, keys = assembly.whitening(x[:-1]), Keys(problem.layout)
-    make, factors = PassFactors(problem, keys), gtsam.NonlinearFactorGraph()
-    for factor in make.prior():
-        factors.push_back(factor)
-    for k, epoch in enumerate(problem.epochs):
-        own = slice(*assembly.epoch_offsets[k : k + 2])
-        found = make.measurements(k, epoch, weights[own], losses)
-        if k:
-            found += make.interval(k, epoch, problem.epochs[k - 1].t, whiten[k - 1])
-        for factor in found:
-            factors.push_back(factor)
+    factors = PassFactors(problem, keys).whole(problem.epochs, assembly, weights, whiten, losses)
     return Graph(factors, keys.values(x), keys)
 
 

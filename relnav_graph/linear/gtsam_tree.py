@@ -12,16 +12,20 @@ import re
 import resource
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError, RelnavError
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.gtsam_extra import Piece
 from relnav_graph.linear.gtsam_graph import Keys, read_any
 
-__all__ = ["Tree", "check_depth"]
+__all__ = ["Part", "Tree", "check_depth"]
 
 #: Bytes of stack that GTSAM's recursion takes for each epoch, at most.
 DEPTH = 1000
@@ -40,6 +44,24 @@ def check_depth(epochs: int) -> None:
             " GTSAM's tree is walked by recursion. Give it a larger one (ulimit -s, or a thread"
             " with threading.stack_size), or use incremental or fixed_lag"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What went into the tree in one update; `before` it, another part or none.
+
+    epochs, assembly, weights: of adjoining epochs, or none; factors, values: as GTSAM took them;
+    x (size,): where the newest epoch is linearised, of all blocks; pieces: the user's, with it.
+    """
+
+    before: Part | None
+    epochs: tuple[Epoch, ...]
+    assembly: Assembly | None
+    weights: Array
+    factors: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    x: Array
+    pieces: tuple[Piece, ...]
 
 
 class Tree:
