@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 import resource
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -19,7 +18,6 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError, RelnavError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.gtsam_extra import Piece
@@ -27,7 +25,7 @@ from relnav_graph.linear.gtsam_graph import Keys, read_any
 
 __all__ = ["Part", "Tree", "check_depth"]
 
-#: Bytes of stack that GTSAM's recursion takes for each epoch, at most.
+#: Bytes of stack for each epoch: several times what GTSAM's recursion was seen to take, 70 to 350.
 DEPTH = 1000
 
 
@@ -110,7 +108,7 @@ class Tree:
                     parts.append(self._isam.calculateEstimateRot3(key).matrix().ravel())
                 else:
                     parts.append(self._isam.calculateEstimateVector(key))
-            P = self.covariance(self._top(epoch), layout)
+            P = self._isam.jointMarginalCovariance(self._top(epoch)).fullMatrix()
         except (RuntimeError, ValueError, IndexError) as error:
             raise EstimationError(named(self.keys, error)) from error
         found = np.concatenate(parts)
@@ -119,15 +117,6 @@ class Tree:
         if not (np.isfinite(found).all() and np.isfinite(P).all()):
             raise EstimationError("the estimate is not finite")
         return found, 0.5 * (P + P.T)
-
-    def covariance(self, top: Sequence[int], layout: Layout) -> Array:
-        """Joint covariance (n, n) of variables, of the blocks of a layout, in its order."""
-        P = np.empty((layout.dim, layout.dim))
-        joint = self._isam.jointMarginalCovariance(list(top)).fullMatrix()
-        order = np.argsort(np.array(top, dtype=np.uint64))  # GTSAM has them in the order of keys
-        _, own = layout.gather(layout.blocks[i] for i in order)
-        P[np.ix_(own, own)] = joint
-        return P
 
     def variable(self, key: int) -> tuple[object, Array]:
         """Value and covariance (d, d) of one variable of whatever type.

@@ -24,7 +24,7 @@ from relnav_graph.estimators.isam2 import Extra, Isam2, Keys
 from relnav_graph.linear import gtsam_tree
 from relnav_graph.linear.gtsam_graph import graph_of, to_track
 from relnav_graph.maths.losses import Loss
-from relnav_graph.runs.graph import Graph, gauss_newton
+from relnav_graph.runs.graph import Graph, gauss_newton, to_gtsam
 from relnav_graph.scenario.build import load_scenario
 
 MINE, OTHER = gtsam.symbol("L", 0), gtsam.symbol("L", 1)
@@ -104,6 +104,53 @@ def test_gates_and_losses_are_those_of_batch(changes: dict[str, Any]) -> None:
     assert track.downweighted == batch.downweighted
 
 
+def _static() -> Problem:
+    """The toy with a drift of the ranger that nothing advances: one value for the pass."""
+    whole = toy()
+    processes = {"motion": whole.processes["motion"]}
+    drop = [
+        replace(e, inputs={"motion": e.inputs["motion"]} if e.inputs else {}) for e in whole.epochs
+    ]
+    problem = Problem(processes, whole.sensors, whole.prior, tuple(drop), window=whole.window)
+    assert [b.name for b in problem.layout.statics] == ["range_drift"]
+    return problem
+
+
+def test_static_blocks_are_one_variable_and_come_to_batch() -> None:
+    problem = _static()
+    track, batch = run_estimator("isam2", problem), run_estimator("batch", problem)
+    assert track.status == batch.status == "ok"
+    ends = (_smoothed(track), to_track(problem, graph := to_gtsam(problem), gauss_newton(graph)))
+    names = [b.name for b in problem.layout]
+    want = batch.covariance(*names)
+    scale = sigmas(want)[:, :, None] * sigmas(want)[:, None]
+    for end in ends:
+        assert _far(end, batch) < 1e-3
+        drift = np.abs(end.value("range_drift") - batch.value("range_drift"))
+        assert drift.max() < 1e-3 * sigmas(want)[0, -1]
+        np.testing.assert_allclose(end.covariance(*names) / scale, want / scale, atol=1e-4)
+    last = want[-1], track.covariance(*names)[-1]
+    np.testing.assert_allclose(last[0] / scale[-1], last[1] / scale[-1], atol=1e-2)
+    assert graph.values.size() == 2 * len(problem.epochs) + 1
+
+
+def test_a_static_block_takes_native_factors_and_is_saved() -> None:
+    problem = _static()
+    key = Keys(problem.layout)["range_drift", None]
+    extra = _extra([gtsam.PriorFactorVector(key, np.array([0.1]), _isotropic(1, 1e-4))])
+    end, want = _smoothed(run_estimator("isam2", problem, extra)), _reference(problem, extra)
+    np.testing.assert_allclose(end.value("range_drift"), want.value("range_drift"), atol=1e-7)
+    sigma = np.sqrt(end.covariance("range_drift")[:, 0, 0])
+    assert (sigma < 1e-4).all()
+    one, other = driven("isam2", problem, problem.epochs[:13]), fresh("isam2", problem)
+    one.add(extra)
+    other.restore(one.state())
+    for epoch in problem.epochs[13:]:
+        one.step(epoch)
+        other.step(epoch)
+    assert_same(snapshot(one), snapshot(other))
+
+
 # --- native factors ----------------------------------------------------------------------------
 
 
@@ -115,7 +162,8 @@ def _closure(keys: Keys, i: int, j: int, difference: Array) -> Any:
 
 def _reference(problem: Problem, extra: Extra) -> Track:
     """Gauss-Newton over the whole graph, with the same factors."""
-    x = run_estimator("batch", problem).x
+    batch = run_estimator("batch", problem)
+    x = batch.x if batch.statics is None else np.hstack([batch.x, batch.statics.x])
     graph = graph_of(problem, x)
     graph.factors.push_back(extra.factors)
     graph.values.insert(extra.values)
