@@ -96,6 +96,16 @@ def measure_fixed_lag(problem: Any) -> tuple[dict[str, float], Any]:
     return rows, took
 
 
+def measure_online(problem: Any) -> dict[str, dict[str, float]]:
+    """What each online estimator costs, and how far it ends from batch, in one table."""
+    found = online.side_by_side(pass_of(problem))
+    say(f"online, {len(problem.epochs)} epochs:  first tenth, last tenth, longest, ms; whole, s;")
+    say("  sigmas from batch at the last epoch")
+    for name, row in found.items():
+        say(f"  {name:18}" + "".join(f"{value:11.3g}" for value in row.values()))
+    return found
+
+
 def draw(path: Path, per_epoch: dict[int, float], steps: dict[str, Any]) -> None:
     """Cost against length, both axes logarithmic. steps: times of each step by estimator."""
     from matplotlib.figure import Figure
@@ -124,6 +134,7 @@ def main(
     lm: int = 2_000,
     steps: int = 20_000,
     naive: int = 2_000,
+    side: int = 1_000,
     cold: bool = True,
 ) -> dict[str, Any]:
     """All rows; the sizes are those of the published figures unless given."""
@@ -132,6 +143,7 @@ def main(
         problem = problem_of(max(*lengths, steps, lm, naive + 20))
         rows, per_epoch = measure_batch(problem, lengths, lm, quick)
         incremental, took = measure_incremental(problem, steps, naive)
+        table = measure_online(first(problem, side))
         fixed_lag: dict[str, Any] = {"growth": None, "p99_over_median": None}
         each = {"incremental": took}
         if not quick:
@@ -145,6 +157,7 @@ def main(
         "batch": rows,
         "incremental": incremental,
         "fixed_lag": fixed_lag,
+        "online": table,
         "start": {"help_s": start.help_time(), "first_compile_s": first_compile},
     }
 

@@ -1,4 +1,4 @@
-"""iSAM2 epoch by epoch: growth, accuracy, and the graph as most people write it."""
+"""Online estimators epoch by epoch: growth, accuracy, and the graph as most people write it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
+from relnav_graph.estimators.ekf import filter_problem
 from relnav_graph.estimators.incremental import IncrementalSmoother
+from relnav_graph.estimators.isam2 import Isam2
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.gtsam_graph import Keys, PassFactors
@@ -39,6 +41,73 @@ def fixed_lag(problem: Problem) -> Step:
         return one.x
 
     return step
+
+
+def isam2(problem: Problem) -> Step:
+    """`isam2` over the epochs of a problem."""
+    engine, assembly = Isam2().engine(problem), Assembly.of(problem)
+    state = [engine.begin()]
+
+    def step(k: int) -> Array:
+        state[0] = engine.advance(state[0], problem.epochs[k], assembly.at(k))
+        return state[0].x
+
+    return step
+
+
+def thresholds(problem: Problem) -> Step:
+    """GTSAM's iSAM2 over the same factors as its examples have it: its own thresholds, relinearised
+    every tenth step, no reference held; QR, since the default factorisation throws. New values are
+    the iterated filter's, as for `isam2`."""
+    params = gtsam.ISAM2Params()
+    params.setFactorization("QR")
+    isam, keys = gtsam.ISAM2(params), Keys(problem.layout)
+    make, layout, done = PassFactors(problem, keys), problem.layout, filter_problem(problem, 20)
+    whiten = done.assembly.whitening(done.x[:-1])
+
+    def step(k: int) -> Array:
+        factors, values, epoch = gtsam.NonlinearFactorGraph(), gtsam.Values(), problem.epochs[k]
+        new = make.measurements(k, epoch, np.ones(sum(len(m.z) for m in epoch.measurements)), {})
+        new += (
+            make.interval(k, epoch, problem.epochs[k - 1].t, whiten[k - 1]) if k else make.prior()
+        )
+        for factor in new:
+            factors.push_back(factor)
+        keys.insert(values, k, layout, done.x[k])
+        isam.update(factors, values)
+        return keys.read(isam.calculateEstimate(), k)
+
+    return step
+
+
+#: The estimators of `side_by_side`.
+ONLINE: dict[str, Callable[[Problem], Step]] = {
+    "iSAM2, thresholds": thresholds,
+    "isam2": isam2,
+    "incremental": incremental,
+    "fixed_lag": fixed_lag,
+}
+
+
+def side_by_side(p: Pass) -> dict[str, dict[str, float]]:
+    """By estimator: median step of the first and of the last tenth, and the longest, ms; the whole,
+    s; the last epoch's estimate from batch's, largest component in sigmas."""
+    out, count = {}, len(p.problem.epochs)
+    for name, estimator in ONLINE.items():
+        step, took = estimator(p.problem), list[float]()
+        for k in range(count):
+            begun = time.perf_counter()
+            x = step(k)
+            took.append(time.perf_counter() - begun)
+        tenth = max(count // 10, 1)
+        out[name] = {
+            "first_ms": 1e3 * float(np.median(took[:tenth])),
+            "last_ms": 1e3 * float(np.median(took[-tenth:])),
+            "longest_ms": 1e3 * max(took),
+            "whole_s": sum(took),
+            "sigma_from_batch": sigma_from_batch(p, x),
+        }
+    return out
 
 
 def run(estimator: Callable[[Problem], Step], problem: Problem) -> tuple[Array, float, Array]:

@@ -23,6 +23,7 @@ __all__ = [
     "KnowsInertialOrbit",
     "KnowsOrbit",
     "KnowsTorque",
+    "Mountable",
     "NamesDirections",
     "ProposesStarts",
     "Sensor",
@@ -180,6 +181,14 @@ class ProposesStarts(Protocol):
         Values, and those in `known` of the other blocks: (3, 3) or (dim,), SI, in the block's
         frame.
         """
+
+
+@runtime_checkable
+class Mountable(Protocol):
+    """A sensor whose mounting may stand in the state."""
+
+    def freed(self) -> Sensor:
+        """The same sensor with its mounting in the state, in static blocks that it reads last."""
 
 
 @runtime_checkable

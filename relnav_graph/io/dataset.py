@@ -15,7 +15,8 @@ since the row before, and the first row only says when the first interval starts
 are missing, the scenario's [gaps] says what is done. Times are those of any clock: its [time]
 origin is taken off them. A table may be Parquet instead. A folder made by hand needs no
 ``dataset.toml``; where there is one, every table that it lists must still be as it was written.
-Truth is interpolated at the epochs between its rows, see `relnav_graph.io.truth`. The scenario of
+Truth is interpolated at the epochs between its rows, see `relnav_graph.io.truth`; that of a static
+block, which has one value for the pass, may be one row without ``t_s``. The scenario of
 a data set may name no module ("module:Class"), which is code, unless it is trusted.
 """
 
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -196,10 +197,12 @@ def read_dataset(
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
     merge: float = SAME_TIME,
+    statics: Container[str] = (),
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
-    inputs: columns of each input, by name; merge: s, how close to an epoch is of it.
+    inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
+    which of the blocks are static, see `relnav_graph.io.truth.read_truth`.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -217,7 +220,7 @@ def read_dataset(
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
-    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""))
+    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""), statics)
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 

@@ -73,7 +73,7 @@ class ClosedLoop:
             lambda name: stream(seed, run, f"input {name}"),
         )
         self._flight: Flight = scenario.truth.fly(float(self.times[0]), stream(seed, run, "truth"))
-        self._timings = scenario.timings
+        self._timings, self._sensors = scenario.timings, scenario.true_sensors
         self._streams = {
             name: (
                 stream(seed, run, f"sensor {name}"),
@@ -84,7 +84,7 @@ class ClosedLoop:
         self._values: list[Mapping[str, Array]] = []
         self._epochs: list[Epoch] = []
         self._command: Array | None = None
-        self._check(self._flight.values())
+        self._check({**scenario.statics, **self._flight.values()})
         measurements = self._reached()
         first = Recording(self.times[:1], measurements, {}, self.truth())
         self.problem = replace(scenario.problem(first, seed, run), epochs=())
@@ -94,7 +94,7 @@ class ClosedLoop:
         self._epochs.append(Epoch(float(self.times[0]), measurements))
 
     def _check(self, values: Mapping[str, Array]) -> None:
-        for name, sensor in self.scenario.sensors.items():
+        for name, sensor in self._sensors.items():
             check_known(name, sensor, values)
         law = self._law
         missing = [n for n in law.reads if n not in self.scenario.layout]
@@ -105,10 +105,10 @@ class ClosedLoop:
     def _reached(self) -> tuple[Measurement, ...]:
         """Store the true state at the present epoch, and simulate its measurements."""
         k = len(self._values)
-        values = {**self._flight.values(), **self._inputs.biases(k)}
+        values = {**self.scenario.statics, **self._flight.values(), **self._inputs.biases(k)}
         self._values.append(values)
         t, t0, found = float(self.times[k]), float(self.times[0]), []
-        for name, sensor in self.scenario.sensors.items():
+        for name, sensor in self._sensors.items():
             timing = self._timings[name]
             if timing.fires(t, t0):
                 x = [np.ascontiguousarray(values[b.name]) for b in sensor.reads]

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from relnav_graph.arrays import Array
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
@@ -20,8 +21,8 @@ from relnav_graph.estimators import find_estimator
 from relnav_graph.files import check_name, printable
 from relnav_graph.memory import check_room
 from relnav_graph.scenario.gaps import make_bridges
-from relnav_graph.scenario.priors import check_prior
-from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.priors import check_prior, true_statics
+from relnav_graph.scenario.scenario import Scenario, freed
 from relnav_graph.scenario.schema import (
     MISSING,
     Problems,
@@ -30,6 +31,7 @@ from relnav_graph.scenario.schema import (
     SensorOptions,
     from_pydantic,
     make_kind,
+    named_mount,
     shared_orbit,
 )
 from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules, strange_values
@@ -92,7 +94,7 @@ def _check_inputs(
     problems: Problems,
 ) -> None:
     """Note in `problems` each input of a process that a simulated pass has no instrument for."""
-    for name, process in processes.items() if file.truth is not None else ():
+    for name, process in processes.items() if file.simulated else ():
         for needed in process.inputs:
             if needed not in inputs:
                 message = f"missing: processes.{name} ({process.kind}) needs this input"
@@ -103,7 +105,7 @@ def _check_steps(
     processes: Mapping[str, Dynamics], truth: Any, file: ScenarioFile, problems: Problems
 ) -> None:
     """In a simulated pass, whose intervals are known, nothing takes steps without end."""
-    step = (file.time.step or 0.0) if file.truth is not None else 0.0
+    step = (file.time.step or 0.0) if file.simulated else 0.0
     paths = {f"processes.{name}": process for name, process in processes.items()}
     for path, model in {**paths, "truth": truth}.items():
         if isinstance(model, IntegratesBySteps):
@@ -119,7 +121,7 @@ def _check_room(
     """A simulated pass must fit into memory: of each epoch at least its estimate (with some
     hundred numbers of bookkeeping), of each sample of an input some twenty."""
     step, epochs = file.time.step, file.time.epochs
-    if step is None or epochs is None or file.truth is None:
+    if step is None or epochs is None or not file.simulated:
         return
     asked = [("time.epochs", f"{epochs} epochs", epochs * (layout.dim**2 + 100.0))]
     for name, source in inputs.items():
@@ -180,6 +182,7 @@ def make_scenario(
                 continue  # reported above
             own = shared_orbit(models.ENTRY_POINTS, table, orbit)
             if section == "sensors":
+                own = named_mount(own, key)
                 general = {k: own.pop(k) for k in SensorOptions.model_fields if k in own}
                 try:
                     options[key] = SensorOptions.model_validate(general)
@@ -199,16 +202,19 @@ def make_scenario(
     if file is not None:
         _check_choices(file, problems)
         _check_names(file, made["processes"], problems)
-    layout, bridges = None, dict[str, Bridge]()
+    layout, every = None, Layout(())  # with all mountings in the state
+    bridges, statics = dict[str, Bridge](), dict[str, Array]()
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
             layout = layout_of(made["processes"], sensors)
             check_orbits(made["processes"], sensors)
+            every = layout_of(made["processes"], freed(sensors))
         except (ModelError, InputError) as error:
             problems.append(("", str(error)))
     if file is not None and layout is not None:
-        check_prior(layout, file, problems)
+        check_prior(layout, file, problems, every)
+        statics = true_statics(every, (file.truth or {}).get("statics", {}), problems)
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)
@@ -221,7 +227,7 @@ def make_scenario(
     )
     return Scenario(
         *(name, file, merged, made["processes"], made["sensors"], options),
-        *(truth, inputs, layout, control, bridges),
+        *(truth, inputs, layout, control, bridges, statics),
     )
 
 
@@ -229,8 +235,9 @@ def _make_truth(
     raw: Mapping[str, Any], orbit: Mapping[str, Any] | None, problems: Problems
 ) -> tuple[Any, dict[str, Any]]:
     truth, inputs = None, {}
-    if isinstance(raw.get("truth"), Mapping):
-        own = shared_orbit(TRUTHS, raw["truth"], orbit)
+    own = raw.get("truth")
+    if isinstance(own, Mapping) and list(own) != ["statics"]:
+        own = shared_orbit(TRUTHS, {k: v for k, v in own.items() if k != "statics"}, orbit)
         truth = make_kind(TRUTHS, "truth", own, problems)
         if truth is not None and not isinstance(truth, SimulatedTruth | DrivenTruth):
             problems.append(("truth.kind", f"found {own['kind']!r}, expected a truth"))

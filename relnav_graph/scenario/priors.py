@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from relnav_graph.maths import so3
 from relnav_graph.scenario.schema import BlockPrior, Problems, ScenarioFile
 from relnav_graph.units import Quantity
 
-__all__ = ["check_prior", "make_prior"]
+__all__ = ["check_prior", "make_prior", "true_statics"]
 
 
 def _prior_sigma(block: Block, value: Any) -> Array:
@@ -37,16 +37,25 @@ def _prior_mean(block: Block, value: list[Any]) -> Array:
     return so3.exp(tangent) if block.manifold == "SO3" else tangent
 
 
-def check_prior(layout: Layout, file: ScenarioFile, problems: Problems) -> None:
-    """Note in `problems` what is wrong with the priors of a file."""
+def check_prior(
+    layout: Layout, file: ScenarioFile, problems: Problems, spare: Container[str] = ()
+) -> None:
+    """Note in `problems` what is wrong with the priors of a file.
+
+    spare: names of blocks that may have one, and are not in the state as it is.
+    """
     names = [b.name for b in layout]
     for name in file.prior:
-        if name not in names:
+        if name not in names and name not in spare:
             problems.append((f"prior.{name}", f"unknown block; the state has {', '.join(names)}"))
     for block in layout:
         prior = file.prior.get(block.name)
         if prior is None:
-            problems.append((f"prior.{block.name}", "missing: every block needs a prior"))
+            static = (
+                " (it is static: no process advances it)" if block.name in layout.statics else ""
+            )
+            message = f"missing: every block needs a prior{static}"
+            problems.append((f"prior.{block.name}", message))
             continue
         try:
             _prior_sigma(block, prior.sigma)
@@ -57,6 +66,31 @@ def check_prior(layout: Layout, file: ScenarioFile, problems: Problems) -> None:
                 _prior_mean(block, prior.mean)
         except InputError as error:
             problems.append((f"prior.{block.name}.mean", str(error)))
+
+
+def true_statics(layout: Layout, tables: Any, problems: Problems) -> dict[str, Array]:
+    """True values of static blocks by name, (3, 3) or (dim,), SI, from the [truth.statics] of a
+    file, which gives them as means of a prior; `problems` collects what is wrong."""
+    found: dict[str, Array] = {}
+    statics = {b.name: b for b in layout.statics}
+    if not isinstance(tables, Mapping):
+        problems.append(("truth.statics", f"found {tables!r}, expected a value for each block"))
+        return found
+    for name, value in tables.items():
+        path = f"truth.statics.{name}"
+        if name in statics and isinstance(value, list):
+            try:
+                found[name] = _prior_mean(statics[name], value)
+            except InputError as error:
+                problems.append((path, str(error)))
+        elif name in statics:
+            problems.append((path, f"found {value!r}, expected a list of values"))
+        elif name in layout:
+            problems.append((path, "the block is not static: a process advances it"))
+        else:
+            known = ", ".join(statics) or "none"
+            problems.append((path, f"unknown block; the static ones of the state are {known}"))
+    return found
 
 
 def make_prior(

@@ -11,7 +11,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution, orbit_cautions
-from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.contracts import Dynamics, Mountable, Sensor
 from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.problem import Prior, Problem
@@ -28,20 +28,30 @@ from relnav_graph.scenario.schema import (
 )
 from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
 from relnav_graph.sim.contracts import Controller
-from relnav_graph.sim.passes import simulate
+from relnav_graph.sim.passes import simulate, with_statics
 from relnav_graph.sim.sensors import Timing, measure_all, stream
 from relnav_graph.units import parse_quantity
 
 __all__ = [
     "Scenario",
+    "freed",
 ]
 
 _LOG = logging.getLogger(__name__)
 
 
+def freed(sensors: Mapping[str, Sensor]) -> dict[str, Sensor]:
+    """Sensors by name, each with its mounting in the state if it has one."""
+    return {name: s.freed() if isinstance(s, Mountable) else s for name, s in sensors.items()}
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A checked scenario: settings and models, ready to meet simulated or recorded data."""
+    """A checked scenario: settings and models, ready to meet simulated or recorded data.
+
+    statics: true values of static blocks that the truth does not give itself, (3, 3) or (dim,), SI.
+    Of a mounting that the estimators take for known, too, so that it can be another one.
+    """
 
     name: str
     file: ScenarioFile
@@ -54,6 +64,7 @@ class Scenario:
     layout: Layout
     control: Controller | None = None
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
+    statics: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def gates(self) -> dict[str, float]:
@@ -109,6 +120,15 @@ class Scenario:
         models = [*self.processes.values(), *self.sensors.values()]
         return orbit_cautions(models, float(self.times[0]))
 
+    @property
+    def true_sensors(self) -> dict[str, Sensor]:
+        """The sensors as they are simulated: mounted as `statics` says, where it does."""
+        free, known = freed(self.sensors), self.statics
+        return {
+            name: free[name] if any(b.name in known for b in free[name].reads) else sensor
+            for name, sensor in self.sensors.items()
+        }
+
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not
         for simulation."""
@@ -124,21 +144,32 @@ class Scenario:
                     f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
                     f" of time.step, {step} s"
                 )
-        models = self.processes, self.sensors
-        return simulate(self.truth, self.inputs, *models, self.timings, self.times, seed, run)
+        models, timings = (self.processes, self.true_sensors), (self.timings, self.times)
+        found = simulate(self.truth, self.inputs, *models, *timings, seed, run, self.statics)
+        return replace(found, truth=found.truth and self._scored(found.truth))
+
+    def _scored(self, truth: Truth) -> Truth:
+        """What of a truth is of this state."""
+        known = {n: v for n, v in truth.values.items() if n in self.layout or n not in self.statics}
+        return replace(truth, values=known)
 
     def completed(self, recording: Recording, seed: int, run: int = 0) -> Recording:
-        """A recording with the sensors that [data] has simulated on its truth.
+        """A recording with the true statics, and the sensors that [data] has simulated on its
+        truth.
 
         Raises InputError when there is no truth, or none of what a sensor reads.
         """
+        truth = recording.truth
+        if truth is not None and self.statics:
+            truth = with_statics(truth, self.statics)
+            recording = replace(recording, truth=self._scored(truth))
         names = self.file.data.simulate if self.file.data is not None else []
         if not names:
             return recording
-        if recording.truth is None:
+        if truth is None:
             raise InputError(f"data.simulate: found {names}, but the recording has no truth")
-        sensors = {name: self.sensors[name] for name in names}
-        made = measure_all(sensors, self.timings, recording.truth, seed, run)
+        sensors = {name: self.true_sensors[name] for name in names}
+        made = measure_all(sensors, self.timings, truth, seed, run)
         return replace(recording, measurements=(*recording.measurements, *made))
 
     @property

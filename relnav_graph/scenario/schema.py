@@ -206,6 +206,14 @@ class ScenarioFile(BaseModel):
     evaluate: the part of the pass that is scored, each end a fraction of it or a time
     with its unit.
 
+    truth.statics: true values of static blocks (a mounting, a constant), by name, as the means of
+    a prior are given; what the truth itself gives needs none. For recorded data it may stand alone.
+    With mounting = "known", the blocks that "estimated" would have: the sensor is simulated with
+    them, and the estimators know nothing of it.
+
+    prior: of every block of the state: what the processes advance, and what is read by a model and
+    advanced by no process, which is static: one value for the whole pass.
+
     Names of sensors, inputs and processes have letters, digits, `_` and, not first, `. + -`;
     48 at most: they are those of tables, too.
     """
@@ -228,6 +236,11 @@ class ScenarioFile(BaseModel):
     processes: dict[str, dict[str, Any]] = Field(min_length=1)
     sensors: dict[str, dict[str, Any]] = Field(min_length=1)
     prior: dict[str, BlockPrior]
+
+    @property
+    def simulated(self) -> bool:
+        """Whether there is a truth to simulate from, not only values for recorded data."""
+        return self.truth is not None and list(self.truth) != ["statics"]
 
 
 def _path(prefix: str, location: Sequence[int | str]) -> str:
@@ -313,6 +326,19 @@ def shared_orbit(
         placed = names & {"epoch", "true_anomaly", "argument_of_latitude"}
         out = {**{k: v for k, v in orbit.items() if placed or k != "epoch"}, **out}
     return out
+
+
+def named_mount(table: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """The table of a sensor, with its own name as that of its mount, where its model has one."""
+    try:
+        cls = find_class(models.ENTRY_POINTS, str(table.get("kind")))
+    except ModelError:
+        return dict(table)  # reported elsewhere
+    if not dataclasses.is_dataclass(cls) or "mount" not in {
+        f.name for f in dataclasses.fields(cls)
+    }:
+        return dict(table)
+    return {"mount": name, **table}
 
 
 def json_schema() -> dict[str, Any]:

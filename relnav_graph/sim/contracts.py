@@ -137,5 +137,9 @@ class DrivenTruth(Protocol):
         inputs: Mapping[str, InputSeries],
         times: Array,
         rng: np.random.Generator,
+        statics: Mapping[str, Array],
     ) -> Truth:
-        """True values of all blocks of the layout at times (N,), s."""
+        """True values of all blocks of the layout at times (N,), s.
+
+        statics: given values of static blocks, (3, 3) or (dim,), SI, in the block's frame.
+        """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from relnav_graph.sim.sensors import Timing, measure_all, stream
 
 __all__ = [
     "simulate",
+    "with_statics",
 ]
 
 
@@ -46,6 +48,18 @@ def _drifted(
     return Truth(times, found, truth_model.source), series
 
 
+def with_statics(truth: Truth, statics: Mapping[str, Array]) -> Truth:
+    """A truth with the values of static blocks, (3, 3) or (dim,), SI, at all its times (N,).
+
+    Raises InputError when it has one of them itself.
+    """
+    for name in statics:
+        if name in truth.values:
+            raise InputError(f"truth.statics.{name}: found a value, but the truth gives its own")
+    tiled = {n: np.tile(v, (len(truth.t), *[1] * v.ndim)) for n, v in statics.items()}
+    return replace(truth, values={**truth.values, **tiled})
+
+
 def simulate(
     truth_model: Any,
     inputs: Mapping[str, Any],
@@ -55,8 +69,11 @@ def simulate(
     times: Array,
     seed: int,
     run: int = 0,
+    statics: Mapping[str, Array] | None = None,
 ) -> Recording:
     """A simulated pass: truth, inputs and measurements at `times` (N,), s.
+
+    statics: true values of static blocks that the truth does not give itself, (3, 3) or (dim,), SI.
 
     Raises InputError when the truth cannot drive an input or a sensor, or is not finite.
     """
@@ -71,7 +88,7 @@ def simulate(
                 )
             series[name] = source.series(name, t0, t1)
         rng = stream(seed, run, "truth")
-        truth = truth_model.follow(layout, processes, series, times, rng)
+        truth = truth_model.follow(layout, processes, series, times, rng, statics or {})
     elif any(isinstance(source, IntervalInstrument) for source in inputs.values()):
         columns = {name: len(c) for p in processes.values() for name, c in p.inputs.items()}
         drawn = IntervalInputs(
@@ -91,6 +108,8 @@ def simulate(
             series[name], bias = source.sample(rates, edges[:-1], edges[1:], rng)
             at = np.searchsorted(edges, times - SAME_TIME)
             truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
+    if not isinstance(truth_model, DrivenTruth):
+        truth = with_statics(truth, statics or {})
     known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
     for name, values in known.items():
         bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)

@@ -89,7 +89,10 @@ def check_known(name: str, sensor: Sensor, values: Mapping[str, Array]) -> None:
     """
     missing = [b.name for b in sensor.reads if b.name not in values]
     if missing:
-        raise InputError(f"sensor {name!r} cannot be simulated: the truth has no {missing}")
+        raise InputError(
+            f"sensor {name!r} cannot be simulated: the truth has no {missing}; what is static is"
+            f" given as truth.statics.{missing[0]}"
+        )
 
 
 def measure_once(

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import draw_block
-from examples import EXAMPLES, DynamicsExample, SensorExample, stereo
+from example_kinds import DynamicsExample, SensorExample
+from examples import EXAMPLES, stereo
 from passes import ZHANG
 from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
 from relnav_factors.dynamics.euler_rotation import EulerRotation

@@ -15,7 +15,8 @@ import gtsam
 import numpy as np
 import pytest
 import relnav_factors
-from examples import BEACONS, EXAMPLES, LOW, MOUNTED, SensorExample, gyro_model
+from example_kinds import SensorExample
+from examples import BEACONS, EXAMPLES, LOW, MOUNTED, gyro_model
 from relnav_factors.derived.inertia_ratios import InertiaRatios
 from relnav_factors.derived.relative_pose import PositionInTarget, RelativeAttitude
 from relnav_factors.dynamics.euler_rotation import EulerRotation
@@ -143,11 +144,11 @@ def test_o_is_radial_transverse_normal() -> None:
     # Another frame of the field is also called LVLH: along track, anti-normal, nadir.
     np.testing.assert_array_equal(xiong_from_rtn @ [1.0, 2.0, 3.0], [2.0, -3.0, -1.0])
     # o turns with the orbit, about its z; without an orbit it does not turn.
-    still, model = np.zeros(3), EulerRotation(torque_density=1e-9, orbit=LOW)
+    still, model = np.zeros(3), EulerRotation(torque_density=1e-9, inertia_density=1e-8, orbit=LOW)
     R_ot, _, _ = model.propagate(0.0, np.array([[100.0]]), np.eye(3), still, np.zeros(2))
     turned = chief_motion(LOW.array(), 100.0)[2] - LOW.true_anomaly
     np.testing.assert_allclose(R_ot, so3.exp(np.array([0, 0, -turned])), atol=1e-12)
-    free = EulerRotation(torque_density=1e-9)
+    free = EulerRotation(torque_density=1e-9, inertia_density=1e-8)
     R_ot, _, _ = free.propagate(0.0, np.array([[100.0]]), np.eye(3), still, np.zeros(2))
     np.testing.assert_array_equal(R_ot, np.eye(3))
 
@@ -171,7 +172,7 @@ def test_names_carry_frames() -> None:
     place_c = MOUNTED["sensor_attitude"] @ seen_s + MOUNTED["sensor_position"]
     np.testing.assert_allclose(R_oc @ place_c, -r_tc_o, atol=1e-14)
     # w_ti_t is the rate of t seen from i, in t: R' = R [w x].
-    model, w = EulerRotation(torque_density=1e-9), np.array([0.1, -0.2, 0.3])
+    model, w = EulerRotation(torque_density=1e-9, inertia_density=1e-8), np.array([0.1, -0.2, 0.3])
     R_next, _, _ = model.propagate(0.0, np.array([[1e-4]]), R_ot, w, np.zeros(2))
     np.testing.assert_allclose((R_next - R_ot) / 1e-4, R_ot @ so3.skew(w), atol=1e-4)
     for block in (CHASER_ATTITUDE, TARGET_ATTITUDE, RELATIVE_POSITION, TARGET_RATE):
@@ -292,7 +293,7 @@ def test_times_are_of_validity_and_inputs_are_means() -> None:
 @asserts("Random numbers come from ``SeedSequence(root, spawn_key=(run, stream))`` only")
 def test_adding_a_sensor_leaves_the_others_as_they_were() -> None:
     process = WhiteNoiseAcceleration(acceleration_density=1e-3)
-    attitude = EulerRotation(torque_density=1e-6)
+    attitude = EulerRotation(torque_density=1e-6, inertia_density=1e-8)
     gyro = gyro_model(1e-6, 1e-9)
     processes: dict[str, Any] = {"p": process, "t": attitude, "c": gyro}
     truth = OwnModels({"relative_position": [0.0, 0.0, -20.0]})
@@ -327,7 +328,7 @@ def test_inertia_stands_in_the_state_as_ratios() -> None:
     l, _ = InertiaRatios().value(k)
     np.testing.assert_allclose(l, ratios)
     # They are those of Euler's equations: w_x' = l_x w_y w_z, cyclic.
-    model, w = EulerRotation(torque_density=1e-9), np.array([0.1, 0.2, -0.3])
+    model, w = EulerRotation(torque_density=1e-9, inertia_density=1e-8), np.array([0.1, 0.2, -0.3])
     _, w_next, _ = model.propagate(0.0, np.array([[1e-5]]), np.eye(3), w, k)
     want = ratios * np.array([w[1] * w[2], w[2] * w[0], w[0] * w[1]])
     np.testing.assert_allclose((w_next - w) / 1e-5, want, atol=1e-7)

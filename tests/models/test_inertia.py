@@ -24,7 +24,7 @@ from relnav_graph.sim.truths.inertial import inertia_parameters
 
 HU = EXPERIMENTS / "hu2019.toml"
 HU_RATE = np.array([0.2, 0.05, 0.05])
-FULL = EulerRotation(torque_density=1e-6, inertia="full", max_step=0.5)
+FULL = EulerRotation(torque_density=1e-6, inertia_density=1e-8, inertia="full", max_step=0.5)
 
 
 def reference(J: Array, R: Array, w: Array, T: float) -> tuple[Array, Array]:
@@ -94,7 +94,7 @@ def test_rotation_is_that_of_eulers_equations(inertia: str) -> None:
 def test_the_axes_of_principal_inertia_are_a_case_of_any() -> None:
     moments = np.array([100.0, 80.0, 60.0])
     jx, jy, jz = moments
-    principal = EulerRotation(torque_density=1e-6, max_step=0.5)
+    principal = EulerRotation(torque_density=1e-6, inertia_density=1e-8, max_step=0.5)
     ratios = np.arctanh([(jy - jz) / jx, (jz - jx) / jy])
     a = propagate(principal, ratios, np.eye(3), HU_RATE, 30.0)
     b = propagate(FULL, inertia_parameters(np.diag(moments)), np.eye(3), HU_RATE, 30.0)

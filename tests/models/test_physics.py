@@ -59,7 +59,7 @@ def angle_between(a: Array, b: Array) -> float:
 
 
 def tumbling(max_step: float = 0.25, **options: Any) -> EulerRotation:
-    return EulerRotation(torque_density=1e-9, max_step=max_step, **options)
+    return EulerRotation(torque_density=1e-9, inertia_density=1e-8, max_step=max_step, **options)
 
 
 def test_torque_free_rotation_keeps_energy_and_angular_momentum() -> None:

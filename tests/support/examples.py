@@ -8,11 +8,11 @@ for a process, the diffusion of its white noise. States and inputs are drawn fro
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from draws import PLACES, Draw, draw_block, draw_blocks
+from draws import PLACES, draw_block, draw_blocks
+from example_kinds import DerivedExample, DynamicsExample, Example, SensorExample, estimated
 from relnav_factors.derived import relative_pose
 from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from relnav_factors.dynamics.accelerometer_bias import AccelerometerBias
@@ -43,40 +43,6 @@ from relnav_factors.sensors.vision_attitude import VisionAttitude
 from relnav_graph.arrays import Array
 from relnav_graph.maths import so3
 from relnav_graph.maths.orbit import KeplerOrbit
-
-
-@dataclass(frozen=True)
-class SensorExample:
-    """draw: values of the blocks read at which the sensor sees everything; step: size of
-    a moderate change of each block; least_large: residual norm that "large" must exceed."""
-
-    model: Any
-    draw: Draw
-    step: Mapping[str, float] = field(default_factory=dict)
-    least_large: float = 0.0
-
-
-@dataclass(frozen=True)
-class DynamicsExample:
-    """diffusion: of the advanced blocks' white noise, unit^2/s, (n, n) at given values;
-    channels: of each input; companions: processes that advance the blocks that are read;
-    flow: False for a process that is no flow in time, such as a copy."""
-
-    model: Any
-    diffusion: Callable[..., Array]
-    channels: Mapping[str, int] = field(default_factory=dict)
-    companions: tuple[Any, ...] = ()
-    flow: bool = True
-
-
-@dataclass(frozen=True)
-class DerivedExample:
-    """A derived quantity."""
-
-    model: Any
-
-
-Example = SensorExample | DynamicsExample | DerivedExample
 
 BEACONS = np.array(
     [[0.5, 0.5, 0], [-0.5, -0.5, 0], [-0.5, 0.5, 0], [0.2, 0.5, 0.1], [0, 0.2, -0.1]]
@@ -138,7 +104,8 @@ def stereo(**options: Any) -> StereoPoint:
 def gyro(angle: Any, bias: Any, **options: Any) -> DynamicsExample:
     model = gyro_model(angle, bias, **options)
     squares = [*model.angle_random_walk_density**2, *model.bias_random_walk_density**2]
-    return DynamicsExample(model, constant(*squares), {"gyro": 3})
+    count = sum(b.dim for b in model.advances)
+    return DynamicsExample(model, constant(*squares[:count]), {"gyro": 3})
 
 
 def attitude_sensor(model: Any, **step: float) -> SensorExample:
@@ -242,8 +209,8 @@ def relative_motion(**options: Any) -> DynamicsExample:
     return DynamicsExample(model, constant(0, 0, 0, 1e-12, 1e-12, 1e-12))
 
 
-def rotation(**options: Any) -> DynamicsExample:
-    model = EulerRotation(torque_density=1e-5, inertia_density=1e-4, **options)
+def rotation(inertia_density: float = 1e-4, **options: Any) -> DynamicsExample:
+    model = EulerRotation(torque_density=1e-5, inertia_density=inertia_density, **options)
     ratios = sum(b.dim for b in model.advances[2:])
     return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios))
 
@@ -260,7 +227,7 @@ def constant_velocity(**options: Any) -> DynamicsExample:
     return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6))
 
 
-EXAMPLES: Mapping[str, tuple[Example, ...]] = {
+_EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "attitude_odometry": (
         attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01))),
         attitude_sensor(
@@ -339,6 +306,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         DynamicsExample(
             ReceiverClock(phase_density=0.1, frequency_density=0.02), constant(0.01, 4e-4)
         ),
+        DynamicsExample(ReceiverClock(phase_density=0.1), constant(0.01)),
     ),
     "body_velocity": (
         body_velocity("orbital", [0.1, 0.2, 0.05], "chaser_attitude"),
@@ -355,6 +323,8 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         rotation(inertia="full", orbit=LOW),
         rotation(inertia="known", known_inertia=HU_INERTIA),
         rotation(inertia="full", integrator="euler", max_step=0.2, rate="body_rate"),
+        rotation(inertia_density=0.0, orbit=LOW),
+        rotation(inertia_density=0.0, inertia="full"),
     ),
     "gravity_gradient_rotation": (
         pulled(),
@@ -365,6 +335,7 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         gyro([1e-4, 3e-4, 2e-4], [1e-4, 2e-4, 3e-4]),
         gyro(1e-4, 1e-4, attitude="relative_attitude"),
         gyro(1e-4, 1e-4, bias_time_constant=600.0, samples="together"),
+        gyro(1e-4, 0.0, orbit=LOW),
     ),
     "orbit_two_body": (
         orbit(0, position_density=0.1),
@@ -394,4 +365,9 @@ EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "position_in_target": (DerivedExample(relative_pose.PositionInTarget()),),
     "relative_attitude": (DerivedExample(relative_pose.RelativeAttitude()),),
     "target_rate_in_chaser": (DerivedExample(relative_pose.TargetRateInChaser()),),
+}
+
+EXAMPLES = {
+    kind: (*examples, *(more for example in examples for more in estimated(example)))
+    for kind, examples in _EXAMPLES.items()
 }

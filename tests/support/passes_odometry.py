@@ -17,7 +17,12 @@ ODOMETRY: dict[str, Any] = {
             "angle_random_walk_density": 1e-4,
             "bias_random_walk_density": 1e-6,
         },
-        "target": {"kind": "euler_rotation", "inertia": "full", "torque_density": 1e-4},
+        "target": {
+            "kind": "euler_rotation",
+            "inertia": "full",
+            "torque_density": 1e-4,
+            "inertia_density": 1e-8,
+        },
         "translation": {"kind": "white_noise_acceleration", "acceleration_density": 1e-3},
         "previous": {"kind": "previous_pose"},
     },

@@ -10,16 +10,10 @@ import numpy as np
 from relnav_factors.shared.inertia import coefficients_of, full_coefficients, principal_coefficients
 from relnav_factors.shared.rate_steps import published_step, rate_step, start_of
 from relnav_factors.shared.statuses import LOST_ORBIT, NO_BODY, ROTATION_FAILURES, TOO_FAST, finite
-from relnav_factors.shared.white_noise import add_step, duration, step_count
+from relnav_factors.shared.white_noise import add_step, duration, put_advanced, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import give_way, jit
-from relnav_graph.core.catalogue import (
-    BODY_RATE,
-    INERTIA,
-    INERTIA_MATRIX,
-    TARGET_ATTITUDE,
-    TARGET_RATE,
-)
+from relnav_graph.core import catalogue
 from relnav_graph.core.contracts import Kernel
 from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
@@ -31,6 +25,8 @@ from relnav_graph.units import Quantity
 
 #: Where the numbers of the kernels stand in p, after the orbit (5,).
 _TORQUE_DENSITY, _INERTIA_DENSITY, MAX_STEP, _EULER, _KNOWN = 5, 6, 7, 8, 9
+#: The block that holds the inertia.
+_BLOCKS = {"principal": (catalogue.INERTIA,), "full": (catalogue.INERTIA_MATRIX,), "known": ()}
 
 
 @jit
@@ -48,7 +44,7 @@ def _rotate(
     steps = step_count(length, p[MAX_STEP])
     h = length / steps
     n, angle = x.shape[0] - 6, np.empty(3)  # n: of the tangent
-    R_ot, w, k = dense.matrix_at(x, 0), dense.vector_at(x, 9), x[12:]
+    R_ot, w = dense.matrix_at(x, 0), dense.vector_at(x, 9)
     total, noise, step = dense.identity(n), np.zeros((n, n)), dense.identity(n)
     for done in range(steps):
         give_way(done)
@@ -79,9 +75,9 @@ def _rotate(
         return LOST_ORBIT
     dense.put_matrix(x_next, 0, so3.project(dense.matmul(turned, R_ot)))
     dense.put_vector(x_next, 9, w)
-    dense.put_vector(x_next, 12, k)
-    dense.put_block(F, 0, 0, total, 1.0)
-    dense.put_block(Q, 0, 0, noise, 1.0)
+    for i in range(12, x_next.shape[0]):
+        x_next[i] = x[i]
+    put_advanced(total, noise, F, Q)
     return 0
 
 
@@ -93,7 +89,7 @@ def principal_kernel(
 
     p (9,): orbit (5,), torque density (rad/s^1.5), density of k (1/sqrt(s)), longest step (s), 1
     for Euler's integrator, else 0. u (rows, 1): dt, s. x, x_next (14,): R_ot row by row, w_ti_t
-    (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1.
+    (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1. Of a constant k: F (6, 8), Q (6, 6).
     """
     A, dA = principal_coefficients(x[12:])
     return _rotate(p, t, u, x, A, dA, x_next, F, Q)
@@ -103,7 +99,7 @@ def principal_kernel(
 def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """``J w' = -w x J w`` about any axes t: as `principal_kernel`, with J of k (5,).
 
-    x, x_next (17,): R_ot, w_ti_t (rad/s), k (5,). F, Q (11, 11).
+    x, x_next (17,): R_ot, w_ti_t (rad/s), k (5,). F, Q (11, 11), or F (6, 11), Q (6, 6).
     """
     A, dA = full_coefficients(x[12:])
     return _rotate(p, t, u, x, A, dA, x_next, F, Q)
@@ -129,8 +125,8 @@ class EulerRotation(DynamicsModel):
     ratios l = tanh(k) stand in the state as k (`catalogue.INERTIA`); "full": any axes,
     `catalogue.INERTIA_MATRIX`; "known": known_inertia, J up to its scale, kg m^2, in t.
 
-    torque_density: rad/s^1.5, angular acceleration per axis; inertia_density: 1/sqrt(s),
-    a small random walk that keeps the covariance regular; max_step: s, the longest step;
+    torque_density: rad/s^1.5, angular acceleration per axis; inertia_density: 1/sqrt(s), of a
+    random walk of k; 0, the default: k is constant, a static block; max_step: s, the longest step;
     orbit: the target's, None where o does not rotate; integrator: "euler" is Hu's; rate:
     "body_rate" where the axes of t are arbitrary: tables then show it in chaser axes.
 
@@ -141,7 +137,7 @@ class EulerRotation(DynamicsModel):
     failures = ROTATION_FAILURES
 
     torque_density: Annotated[float, Quantity("rad/s^1.5", positive=True)]
-    inertia_density: Annotated[float, Quantity("1/sqrt(s)", positive=True)] = 1e-8
+    inertia_density: Annotated[float, Quantity("1/sqrt(s)", nonnegative=True)] = 0.0
     max_step: Annotated[float, Quantity("s", positive=True)] = 1.0
     orbit: KeplerOrbit | None = None
     inertia: Literal["principal", "full", "known"] = "principal"
@@ -169,9 +165,13 @@ class EulerRotation(DynamicsModel):
 
     @property
     def advances(self) -> tuple[Block, ...]:
-        rate = TARGET_RATE if self.rate == "target_rate" else BODY_RATE
-        inertia = {"principal": (INERTIA,), "full": (INERTIA_MATRIX,), "known": ()}
-        return TARGET_ATTITUDE, rate, *inertia[self.inertia]
+        rate = catalogue.TARGET_RATE if self.rate == "target_rate" else catalogue.BODY_RATE
+        inertia = _BLOCKS[self.inertia] if self.inertia_density else ()
+        return catalogue.TARGET_ATTITUDE, rate, *inertia
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return () if self.inertia_density else _BLOCKS[self.inertia]
 
     def caution(self, length: float, *x: Array) -> str:
         """Half a turn or more between epochs looks like the rest of a turn backwards."""
@@ -189,7 +189,7 @@ class EulerRotation(DynamicsModel):
         """What a steady spin hides: the phase, and the inertia ratios."""
         w, none = x[1][:, None], np.zeros((3, 1))
         spin = w / max(float(np.linalg.norm(w)), 1e-12)
-        ratios = np.eye(sum(b.dim for b in self.advances[2:]))
+        ratios = np.eye(sum(b.dim for b in _BLOCKS[self.inertia]))
         rest = (0 * ratios[:, :1],) if len(ratios) else ()
         found = {
             "rotation of the target about its spin axis": (spin, none, *rest),

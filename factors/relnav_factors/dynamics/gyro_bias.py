@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -11,12 +11,13 @@ import numpy as np
 from relnav_factors.shared.gauss_markov import walk_and_integral
 from relnav_factors.shared.statuses import LOST_ORBIT, NO_PLACE, finite
 from relnav_factors.shared.strapdown import GYRO_COLUMNS, LARGEST_TURN, condense
-from relnav_factors.shared.white_noise import carry, duration
+from relnav_factors.shared.white_noise import carry, duration, put_advanced
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS, RELATIVE_ATTITUDE
 from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
+from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
 from relnav_graph.units import Quantity
@@ -32,7 +33,8 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     p (12,): orbit (5,), density of the angle's random walk (3,), rad/sqrt(s), of the bias's (3,),
     rad/s^1.5, T (s; inf: the bias is a random walk). u (rows, 4): dt (s), mean of the gyro
     (rad/s, in c). x, x_next (12,): R_oc (or R_tc) row by row, b (rad/s, in c). F, Q (6, 6), in rad
-    and rad/s. Status: see `GyroBias.failures`.
+    and rad/s. Of a constant bias: x_next (9,), F (3, 6), Q (3, 3). Status: see
+    `GyroBias.failures`.
 
     Noises of attitude and bias are correlated: the bias walks while the attitude turns. R_o1o0 is
     the turn of the orbital frame, see `relnav_graph.maths.orbit.frame_rotation`.
@@ -68,9 +70,9 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
         return LOST_ORBIT
     R_next = dense.matmul(ahead, R_oc)
     dense.put_matrix(x_next, 0, so3.project(R_next))
-    dense.put_vector(x_next, 9, b)
-    dense.put_block(F, 0, 0, total, 1.0)
-    dense.put_block(Q, 0, 0, noise, 1.0)
+    for i in range(9, x_next.shape[0]):
+        x_next[i] = b[i - 9]
+    put_advanced(total, noise, F, Q)
     return 0
 
 
@@ -83,15 +85,16 @@ class GyroBias(DynamicsModel):
     that is constant over each gyro sample.
 
     angle_random_walk_density: rad/sqrt(s), bias_random_walk_density: rad/s^1.5, one for
-    all axes of c or one each; bias_time_constant: T, s, of a bias with b' = -b / T +
-    white; orbit: the target's, None where o does not rotate.
-    attitude: which block turns with the chaser: R_oc, or R_tc of a target at rest in o.
-    samples: "together" for a fast gyro: those of an interval as one or a few rows.
+    all axes of c or one each; 0, the default of the latter: the bias is constant, a static block.
+    bias_time_constant: T, s, of a bias with b' = -b / T + white; orbit: the target's, None where o
+    does not rotate. attitude: which block turns with the chaser: R_oc, or R_tc of a target at rest
+    in o. samples: "together" for a fast gyro: those of an interval as one or a few rows.
+
+    Raises InputError where the bias of some axes only walks, or one that decays does not.
     """
 
     kind: ClassVar[str] = "gyro_bias"
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {"gyro": GYRO_COLUMNS}
-    noises: ClassVar[tuple[str, ...]] = ("angle_random_walk_density", "bias_random_walk_density")
     kernel = staticmethod(kernel)
     failures = {LOST_ORBIT: NO_PLACE, 2: "a turn of the gyro is beyond what floats hold"}
 
@@ -99,17 +102,40 @@ class GyroBias(DynamicsModel):
         Array, Quantity("rad/sqrt(s)", (3,), positive=True, fill=True)
     ]
     bias_random_walk_density: Annotated[
-        Array, Quantity("rad/s^1.5", (3,), positive=True, fill=True)
-    ]
+        Array, Quantity("rad/s^1.5", (3,), nonnegative=True, fill=True)
+    ] = field(default_factory=lambda: np.zeros(3))
     orbit: KeplerOrbit | None = None
     attitude: Literal["chaser_attitude", "relative_attitude"] = "chaser_attitude"
     bias_time_constant: Annotated[float | None, Quantity("s", positive=True)] = None
     samples: Literal["each", "together"] = "each"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        walks = self.bias_random_walk_density > 0
+        if walks.any() != walks.all():
+            raise InputError(
+                f"{self.kind}.bias_random_walk_density: found {self.bias_random_walk_density},"
+                " expected a positive value for each axis, or 0 for all: a constant bias"
+            )
+        if self.bias_time_constant is not None and not walks.any():
+            raise InputError(
+                f"{self.kind}.bias_time_constant: found {self.bias_time_constant} s of a constant"
+                " bias, expected it with a positive bias_random_walk_density"
+            )
+
     @property
     def advances(self) -> tuple[Block, ...]:
         chaser = self.attitude == "chaser_attitude"
-        return (CHASER_ATTITUDE if chaser else RELATIVE_ATTITUDE), GYRO_BIAS
+        attitude = CHASER_ATTITUDE if chaser else RELATIVE_ATTITUDE
+        return (attitude, GYRO_BIAS) if self.bias_random_walk_density.any() else (attitude,)
+
+    @property
+    def reads(self) -> tuple[Block, ...]:
+        return () if self.bias_random_walk_density.any() else (GYRO_BIAS,)
+
+    @property
+    def noises(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("angle_random_walk_density", "bias_random_walk_density")[: len(self.advances)]
 
     def constants(self) -> Array:
         densities = self.angle_random_walk_density, self.bias_random_walk_density

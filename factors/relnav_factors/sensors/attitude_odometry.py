@@ -10,6 +10,7 @@ import numpy as np
 from relnav_factors.derived.relative_pose import relative_attitude
 from relnav_factors.dynamics.previous_pose import previous_blocks
 from relnav_factors.shared.attitude import AttitudeSensor, attitude_residual
+from relnav_factors.shared.mounting import mounting_of, without_mounting
 from relnav_factors.shared.points import Pose, pose_blocks
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -35,8 +36,8 @@ def turn_between(R_cs: Array, before: Array, now: Array) -> tuple[Array, Array]:
     """``R_s-s = R_cs^T R_tc-^T R_tc R_cs``: from present sensor axes s to those of before, s-.
 
     R_cs: (3, 3); before, now: (18,): R_oc, R_ot row by row, or (9,): R_tc. Returns R_s-s (3, 3) and
-    the Jacobian (3, 12) or (3, 6), rad/rad, of its right perturbation to those of the attitudes
-    before, then now.
+    the Jacobian (3, 15) or (3, 9), rad/rad, of its right perturbation to those of the attitudes
+    before, then now, then of R_cs.
     """
     R_before, to_before = chaser_in_target(before)
     R_now, to_now = chaser_in_target(now)
@@ -46,20 +47,30 @@ def turn_between(R_cs: Array, before: Array, now: Array) -> tuple[Array, Array]:
     dense.put_block(in_c, 0, 0, dense.transposed_matmul(R_cc, to_before), -1.0)
     dense.put_block(in_c, 0, n, to_now, 1.0)
     turn = dense.matmul(dense.transposed_matmul(R_cs, R_cc), R_cs)
-    return turn, dense.transposed_matmul(R_cs, in_c)
+    slopes = np.empty((3, 2 * n + 3))
+    dense.put_block(slopes, 0, 0, dense.transposed_matmul(R_cs, in_c), 1.0)
+    for i in range(3):  # Exp(-d) R_s-s Exp(d)
+        for j in range(3):
+            slopes[i, 2 * n + j] = (1.0 if i == j else 0.0) - turn[j, i]
+    return turn, slopes
 
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """``r = Log(R_measured^T R_s-s)``, in present sensor axes, see `turn_between`.
 
-    p (9,): R_cs row by row. q (0,). z (4,): q_wxyz of R_s-s. x (36,): R_oc-, R_ot-, R_oc, R_ot row
-    by row, or (18,): R_tc-, R_tc; the minus marks the earlier epoch. r (3,), rad. H (3, 12) or
-    (3, 6), rad/rad.
+    p (13,): of the mounting. q (0,). z (4,): q_wxyz of R_s-s. x (36,): R_oc-, R_ot-, R_oc, R_ot row
+    by row, or (18,): R_tc-, R_tc; the minus marks the earlier epoch; then (9,): R_ns of an
+    estimated mounting. r (3,), rad. H (3, 12) or (3, 6), and 3 columns more for the mounting,
+    rad/rad.
     """
-    half = x.shape[0] // 2
-    turn, jacobian = turn_between(dense.matrix_at(p, 0), x[:half], x[half:])
-    dense.put_block(H, 0, 0, dense.matmul(attitude_residual(z, turn, r), jacobian), 1.0)
+    R_cs, both = dense.matrix_at(mounting_of(p, x), 0), without_mounting(p, x)
+    half = both.shape[0] // 2
+    turn, slopes = turn_between(R_cs, both[:half], both[half:])
+    jacobian = dense.matmul(attitude_residual(z, turn, r), slopes)
+    for i in range(3):
+        for j in range(H.shape[1]):
+            H[i, j] = jacobian[i, j]
     return 0
 
 
@@ -81,9 +92,11 @@ class AttitudeOdometry(AttitudeSensor):
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return *previous_blocks(self.pose)[:-1], *pose_blocks(self.pose)[:-1]
+        both = *previous_blocks(self.pose)[:-1], *pose_blocks(self.pose)[:-1]
+        return *both, *self.mounting_blocks
 
     def attitude(self, *x: Array) -> Array:
         """R_s-s (3, 3), which takes present sensor axes to those of before."""
-        before, now = np.concatenate([np.ravel(value) for value in x]).reshape(2, -1)
-        return turn_between(np.array(self.sensor_attitude), before, now)[0]
+        p, packed = self.constants(), np.concatenate([np.ravel(value) for value in x])
+        before, now = without_mounting(p, packed).reshape(2, -1)
+        return turn_between(dense.matrix_at(mounting_of(p, packed), 0), before, now)[0]

@@ -18,15 +18,15 @@ from relnav_graph.units import Quantity
 
 
 @jit(from_python=True)
-def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Array, float]:
-    """Unit vector b (3,) to a beacon in sensor axes, its Jacobian to the pose, and the distance.
+def line_of_sight(p: Array, beacon_t: Array, x: Array) -> tuple[Array, Array, float]:
+    """Unit vector b (3,) to a beacon in sensor axes, its Jacobian to x, and the distance.
 
-    mounting: (12,): R_cs row by row, r_sc_c (m); beacon_t: (3,), m, in t; x: (21,): R_oc, R_ot,
-    r_tc_o (m), or (12,): R_tc, r_tc_t (m). The Jacobian is (3, 9) or (3, 6), per rad and per m; the
-    distance is in m.
+    p: (13,), of the mounting; beacon_t: (3,), m, in t; x: (21,): R_oc, R_ot, r_tc_o (m), or (12,):
+    R_tc, r_tc_t (m); then (12,) of an estimated mounting, see `point_in_sensor`. The Jacobian is
+    (3, 9) or (3, 6), with 6 columns more for the mounting, per rad and per m; the distance is in m.
     """
-    p, jacobian = point_in_sensor(mounting, beacon_t, x)
-    b, distance = direction(p, jacobian)
+    point_s, jacobian = point_in_sensor(p, beacon_t, x)
+    b, distance = direction(point_s, jacobian)
     return b, jacobian, distance
 
 
@@ -34,10 +34,11 @@ def line_of_sight(mounting: Array, beacon_t: Array, x: Array) -> tuple[Array, Ar
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Rotation from the measured to the predicted line of sight, across the measured one.
 
-    p (12,): R_cs row by row, r_sc_c (m). q (3,): the beacon X_t, m. z (3,): unit vector in s. x
-    (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m). r (2,), rad, see
-    `sphere_residual`. H (2, 9) or (2, 6). Status `OPPOSITE`: b is opposite to z;
-    or that of `length_status` for the distance to the beacon.
+    p (13,): of the mounting. q (3,): the beacon X_t, m. z (3,): unit vector in s. x (21,): R_oc,
+    R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns, d_sn_c (m) of an
+    estimated mounting. r (2,), rad, see `sphere_residual`. H (2, 9) or (2, 6), and 6 columns more
+    for the mounting. Status `OPPOSITE`: b is opposite to z; or that of `length_status` for the
+    distance to the beacon.
 
         b = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c), normalised
     """

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from relnav_factors.dynamics.earth_sensor_bias import EARTH_SENSOR_BIAS
-from relnav_factors.shared.mounting import MountedSensor
+from relnav_factors.shared.mounting import MountedSensor, mounting_of
 from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -41,11 +41,13 @@ def earth_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """``r = (atan2(e_y, e_z), atan2(e_x, e_z)) + b - z``, see `earth_in_sensor`.
 
-    p (9,): R_cs row by row. q (0,). z (2,): roll, pitch, rad. x (14,): R_ic row by row, r_c_i (m),
-    b (2,), rad. r (2,), rad. H (2, 8) to (R_ic, r_c_i, b). Status 1: the Earth is
-    behind; or that of `length_status` for its distance.
+    p (13,): of the mounting. q (0,). z (2,): roll, pitch, rad. x (14,): R_ic row by row, r_c_i (m),
+    b (2,), rad; then (9,): R_ns of an estimated mounting. r (2,), rad. H (2, 8) to (R_ic, r_c_i,
+    b), and 3 columns more for the mounting. Status 1: the Earth is behind; or that of
+    `length_status` for its distance.
     """
-    e, de = earth_in_sensor(dense.matrix_at(p, 0), x)
+    e, de = earth_in_sensor(dense.matrix_at(mounting_of(p, x), 0), x)
+    to_mounting = so3.skew(e)
     status = length_status(dense.norm(e), 0)
     if status != 0:
         return status
@@ -60,6 +62,9 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
             H[i, j] = (e[2] * d_side - side * de[2, j]) / square
         H[i, 6] = 1.0 if i == 0 else 0.0
         H[i, 7] = 1.0 if i == 1 else 0.0
+        for j in range(int(p[12])):
+            d_side = to_mounting[1, j] if i == 0 else to_mounting[0, j]
+            H[i, 8 + j] = (e[2] * d_side - side * to_mounting[2, j]) / square
     return 0
 
 
@@ -90,7 +95,7 @@ class EarthSensor(MountedSensor):
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return CHASER_ATTITUDE, CHASER_POSITION, EARTH_SENSOR_BIAS
+        return CHASER_ATTITUDE, CHASER_POSITION, EARTH_SENSOR_BIAS, *self.mounting_blocks
 
     def accept(self, z: Array) -> Array:
         """z (k, 2), rad. Raises InputError on angles too large to be in rad."""

@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from relnav_factors.shared.mounting import Mounted, displacement
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
 from relnav_graph.core.measurement import Measurement
-from relnav_graph.core.models import SensorModel
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity
@@ -23,28 +23,32 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """``r = r_c_i + R_ic r_ac_c - z``.
 
     p (3,): r_ac_c, m, the antenna in c. q (0,). z (3,): the antenna in i, m. x (3,): r_c_i (m), or,
-    with an antenna away from the chaser's origin, (12,): r_c_i, R_ic row by row. r (3,), m. H
-    (3, 3) or (3, 6).
+    with an antenna away from the chaser's origin, (12,): r_c_i, R_ic row by row, or (15,): then
+    d_sn_c (m), what is estimated of its place. r (3,), m. H (3, 3), (3, 6) or (3, 9).
     """
     dense.put_block(H, 0, 0, dense.identity(3), 1.0)
     for i in range(3):
         r[i] = x[i] - z[i]
     if x.shape[0] > 3:
-        R_ic = dense.matrix_at(x, 3)
-        dense.put_vector(r, 0, dense.add_scaled_vector(r, dense.matvec(R_ic, p), 1.0))
-        dense.put_block(H, 0, 3, dense.matmul(R_ic, so3.skew(p)), -1.0)
+        R_ic, arm = dense.matrix_at(x, 3), p.copy()
+        for i in range(x.shape[0] - 12):
+            arm[i] += x[12 + i]
+        dense.put_vector(r, 0, dense.add_scaled_vector(r, dense.matvec(R_ic, arm), 1.0))
+        dense.put_block(H, 0, 3, dense.matmul(R_ic, so3.skew(arm)), -1.0)
+        if x.shape[0] > 12:
+            dense.put_block(H, 0, 6, R_ic, 1.0)
     return 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class GpsPosition(SensorModel):
+class GpsPosition(Mounted):
     """Position of the antenna in the inertial frame, z = r_c_i + R_ic r_ac_c.
 
     Xiong et al. 2013, eq. 23, with a lever arm: the receiver's solution, already turned
     from Earth-fixed to inertial axes. o must not rotate where the antenna has an arm.
 
     sigma: m, per axis of i, one for all or one each; antenna_position: r_ac_c, m, of the
-    antenna in chaser axes.
+    antenna in chaser axes, nominal where the mounting is estimated.
     """
 
     kind: ClassVar[str] = "gps_position"
@@ -58,15 +62,21 @@ class GpsPosition(SensorModel):
     )
 
     @property
+    def _arm(self) -> bool:
+        return bool(self.antenna_position.any()) or self.mounting == "estimated"
+
+    @property
     def reads(self) -> tuple[Block, ...]:
-        if self.antenna_position.any():
+        if self.mounting == "estimated":
+            return CHASER_POSITION, CHASER_ATTITUDE, displacement(self.mount)
+        if self._arm:
             return CHASER_POSITION, CHASER_ATTITUDE
         return (CHASER_POSITION,)
 
     @property
     def orbit(self) -> None:
         """None where the antenna has an arm: o is i. Without one it does not matter."""
-        if not self.antenna_position.any():
+        if not self._arm:
             raise AttributeError("orbit")
 
     def constants(self) -> Array:
@@ -79,10 +89,11 @@ class GpsPosition(SensorModel):
 
         z: (k, 3), m; known: values of the other blocks: with an arm, R_ic (3, 3) is needed.
         """
-        if not self.antenna_position.any():
+        if not self._arm:
             yield {CHASER_POSITION.name: z[0]}
         elif CHASER_ATTITUDE.name in known:
-            arm = known[CHASER_ATTITUDE.name] @ self.antenna_position
+            moved = known.get(displacement(self.mount).name, np.zeros(3))
+            arm = known[CHASER_ATTITUDE.name] @ (self.antenna_position + moved)
             yield {CHASER_POSITION.name: z[0] - arm}
 
     def noise(self, m: Measurement) -> Array:

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from relnav_factors.shared.mounting import MountedSensor
+from relnav_factors.shared.mounting import MountedSensor, mounting_of, without_mounting
 from relnav_factors.shared.sphere import OPPOSITE, direction, sphere_residual, turned
 from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array, Indices
@@ -26,41 +26,48 @@ Axes = Literal["chaser", "orbital"]
 
 
 @jit
-def target_in_sensor(R_cs: Array, x: Array) -> tuple[Array, Array]:
+def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
     """``s = R_cs^T R_oc^T (-r_tc_o)``: the target in sensor axes, and its Jacobian.
 
-    R_cs: (3, 3), or R_os where x has no attitude; x: (12,): r_tc_o (m), R_oc row by row, or (3,):
-    r_tc_o. Returns s (3,), m, and its Jacobian (3, 6) or (3, 3) to r_tc_o, then R_oc (per rad).
+    p: (13,), of the mounting, of R_os where x has no attitude; x: (12,): r_tc_o (m), R_oc row by
+    row, or (3,): r_tc_o; then (9,): R_ns of an estimated mounting. Returns s (3,), m, and its
+    Jacobian (3, 6) or (3, 3) to r_tc_o, then R_oc (per rad), with 3 columns more for the mounting.
     """
+    R_cs, columns = dense.matrix_at(mounting_of(p, x), 0), int(p[12])
     r_ct_o = dense.vector_at(x, 0)
     for i in range(3):
         r_ct_o[i] = -r_ct_o[i]
-    turns = x.shape[0] > 3
+    turns = without_mounting(p, x).shape[0] > 3
     R_os = dense.matmul(dense.matrix_at(x, 3), R_cs) if turns else R_cs
-    jacobian = np.zeros((3, 6 if turns else 3))
+    n = 6 if turns else 3
+    jacobian = np.zeros((3, n + columns))
     for i in range(3):
         for j in range(3):
             jacobian[i, j] = -R_os[j, i]
     if turns:  # R_oc Exp(d): the target turns by -d in c
         r_ct_c = dense.transposed_matvec(dense.matrix_at(x, 3), r_ct_o)
         dense.put_block(jacobian, 0, 3, dense.transposed_matmul(R_cs, so3.skew(r_ct_c)), 1.0)
-    return dense.transposed_matvec(R_os, r_ct_o), jacobian
+    s = dense.transposed_matvec(R_os, r_ct_o)
+    if columns > 0:
+        dense.put_block(jacobian, 0, n, so3.skew(s), 1.0)
+    return s, jacobian
 
 
 @jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Range, predicted minus measured, then the rotation across the measured line of sight.
 
-    p (9,): R_cs, or R_os, row by row. q (0,). z (4,): range (m), unit vector in s, see
-    `LaserRangeAngles.accept`. x (12,): r_tc_o (m), R_oc row by row, or (3,): r_tc_o. r (3,): m,
-    rad, rad. H (3, 6) or (3, 3). Status `OPPOSITE`: b is opposite to the line; or that of
-    `length_status` for the range.
+    p (13,): of the mounting. q (0,). z (4,): range (m), unit vector in s, see
+    `LaserRangeAngles.accept`. x (12,): r_tc_o (m), R_oc row by row, or (3,): r_tc_o; then (9,):
+    R_ns of an estimated mounting. r (3,): m, rad, rad. H (3, 6) or (3, 3), and 3 columns more for
+    the mounting. Status `OPPOSITE`: b is opposite to the line; or that of `length_status` for the
+    range.
 
         r = (|s| - range, rotation from the measured line to b = s / |s|)
 
     s: see `target_in_sensor`.
     """
-    s, ds = target_in_sensor(dense.matrix_at(p, 0), x)
+    s, ds = target_in_sensor(p, x)
     to_line = dense.add_scaled(ds, ds, 0.0)
     b, distance = direction(s, to_line)
     status = length_status(distance, 0)
@@ -117,8 +124,8 @@ class LaserRangeAngles(MountedSensor):
     @property
     def reads(self) -> tuple[Block, ...]:
         if self.axes == "chaser":
-            return RELATIVE_POSITION, CHASER_ATTITUDE
-        return (RELATIVE_POSITION,)
+            return RELATIVE_POSITION, CHASER_ATTITUDE, *self.mounting_blocks
+        return RELATIVE_POSITION, *self.mounting_blocks
 
     def accept(self, z: Array) -> Array:
         """Range (m) and unit vector in s, (k, 4).
@@ -142,7 +149,7 @@ class LaserRangeAngles(MountedSensor):
     def predict(self, ids: Indices, *x: Array) -> Array:
         """Range, m, azimuth and elevation, rad, (k, 3). Raises GeometryError at range zero."""
         packed = np.concatenate([np.ravel(value) for value in x])
-        s, _ = target_in_sensor(np.ascontiguousarray(self.sensor_attitude), packed)
+        s, _ = target_in_sensor(self.constants(), packed)
         distance = np.sqrt((s**2).sum())
         if status := length_status(distance, 0):
             raise GeometryError(f"{self.kind}: {self.failure(status)}")
@@ -161,12 +168,11 @@ class LaserRangeAngles(MountedSensor):
         z: (k, 4), see `accept`; known: values of the other blocks: with axes of the chaser, R_oc
         (3, 3) is needed.
         """
-        r_tc_s = -z[0, 0] * z[0, 1:]
+        r_tc_s, (R_cs, _) = -z[0, 0] * z[0, 1:], self.mounted(known)
         if self.axes == "orbital":
-            yield {RELATIVE_POSITION.name: self.sensor_attitude @ r_tc_s}
+            yield {RELATIVE_POSITION.name: R_cs @ r_tc_s}
         elif CHASER_ATTITUDE.name in known:
-            r_tc_o = known[CHASER_ATTITUDE.name] @ self.sensor_attitude @ r_tc_s
-            yield {RELATIVE_POSITION.name: r_tc_o}
+            yield {RELATIVE_POSITION.name: known[CHASER_ATTITUDE.name] @ R_cs @ r_tc_s}
 
     def noise(self, m: Measurement) -> Array:
         """R (k, 3, 3): the range's sigma follows the measured range."""

@@ -10,8 +10,8 @@ import numpy as np
 from relnav_factors.dynamics.previous_pose import previous_blocks
 from relnav_factors.sensors.attitude_odometry import turn_between
 from relnav_factors.shared.attitude import QUATERNION, attitude_residual, turned, unit_quaternions
-from relnav_factors.shared.mounting import MountedSensor
-from relnav_factors.shared.points import Pose, point_in_sensor, pose_blocks
+from relnav_factors.shared.mounting import PlacedSensor, mounting_of, without_mounting
+from relnav_factors.shared.points import Pose, point_seen, pose_blocks
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.measurement import Measurement
@@ -24,24 +24,29 @@ from relnav_graph.units import Quantity
 def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """The turn R_s-s, and where the scene's centre lies in the sensor axes of before, s-.
 
-    p: (15,): R_cs row by row, r_sc_c (m), the scene's centre in present sensor axes (m); x: (42,):
-    R_oc, R_ot row by row, r_tc_o (m) of before, then of now, or (24,): R_tc, r_tc_t of both.
-    Returns R_s-s (3, 3), the place (3,), m, and their Jacobians (3, 18) or (3, 12) to both poses.
+    p: (16,): (13,) of the mounting, the scene's centre in present sensor axes (m); x: (42,): R_oc,
+    R_ot row by row, r_tc_o (m) of before, then of now, or (24,): R_tc, r_tc_t of both; then (12,):
+    R_ns, d_sn_c (m) of an estimated mounting. Returns R_s-s (3, 3), the place (3,), m, and their
+    Jacobians (3, 18) or (3, 12) to both poses, with 6 columns more for the mounting.
 
         place = p_t- + R_s-s (centre - p_t),  p_t: the target's origin in sensor axes
     """
-    mounting, nowhere, half = p[:12], np.zeros(3), x.shape[0] // 2
-    before, to_before = point_in_sensor(mounting, nowhere, x[:half])
-    now, to_now = point_in_sensor(mounting, nowhere, x[half:])
-    n = to_now.shape[1]
-    turn, slopes = turn_between(dense.matrix_at(p, 0), x[: half - 3], x[half:-3])
-    to_turn = np.zeros((3, 2 * n))
+    mounting, both, columns = mounting_of(p, x), without_mounting(p, x), int(p[12])
+    nowhere, half = np.zeros(3), both.shape[0] // 2
+    before, to_before = point_seen(mounting, columns, nowhere, both[:half])
+    now, to_now = point_seen(mounting, columns, nowhere, both[half:])
+    n = to_now.shape[1] - columns
+    turn, slopes = turn_between(
+        dense.matrix_at(mounting, 0), both[: half - 3], both[half : 2 * half - 3]
+    )
+    to_turn = np.zeros((3, 2 * n + columns))
     for i in range(3):
         for j in range(n - 3):
             to_turn[i, j], to_turn[i, n + j] = slopes[i, j], slopes[i, n - 3 + j]
-    line = dense.add_scaled_vector(
-        dense.vector_at(p, 12), now, -1.0
-    )  # from the target to the centre
+        for j in range(min(columns, 3)):
+            to_turn[i, 2 * n + j] = slopes[i, 2 * (n - 3) + j]
+    # From the target to the centre.
+    line = dense.add_scaled_vector(dense.vector_at(p, 13), now, -1.0)
     place = dense.add_scaled_vector(before, dense.matvec(turn, line), 1.0)
     to_place = dense.matmul(dense.matmul(turn, so3.skew(line)), to_turn)
     turned_now = dense.matmul(turn, to_now)
@@ -49,6 +54,9 @@ def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
         for j in range(n):
             to_place[i, j] = to_before[i, j] - to_place[i, j]
             to_place[i, n + j] = -turned_now[i, j] - to_place[i, n + j]
+        for j in range(columns):
+            moved = to_before[i, n + j] - turned_now[i, n + j]
+            to_place[i, 2 * n + j] = moved - to_place[i, 2 * n + j]
     return turn, place, to_turn, to_place
 
 
@@ -56,15 +64,16 @@ def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Where the scene's centre was, predicted minus measured; then ``Log(R_measured^T R_s-s)``.
 
-    p (15,): R_cs row by row, r_sc_c (m), the scene's centre in present sensor axes (m). q (0,). z
-    (7,): r (m) and q_wxyz of `PoseOdometry`. x (42,): R_oc, R_ot row by row, r_tc_o (m) of before,
-    then of now, or (24,): R_tc, r_tc_t (m) of both. r (6,): m in sensor axes of before, then rad in
-    present ones. H (6, 18) or (6, 12).
+    p (16,): (13,) of the mounting, the scene's centre in present sensor axes (m). q (0,). z (7,): r
+    (m) and q_wxyz of `PoseOdometry`. x (42,): R_oc, R_ot row by row, r_tc_o (m) of before, then of
+    now, or (24,): R_tc, r_tc_t (m) of both; then (12,): R_ns, d_sn_c (m) of an estimated mounting.
+    r (6,): m in sensor axes of before, then rad in present ones. H (6, 18) or (6, 12), and 6
+    columns more for the mounting.
     """
     turn, place, to_turn, to_place = pose_between(p, x)
     R_measured, angles = so3.from_quaternion(z[3:]), np.empty(3)
     slope = attitude_residual(z[3:], turn, angles)
-    measured = dense.add_scaled_vector(dense.matvec(R_measured, dense.vector_at(p, 12)), z[:3], 1.0)
+    measured = dense.add_scaled_vector(dense.matvec(R_measured, dense.vector_at(p, 13)), z[:3], 1.0)
     dense.put_vector(r, 0, dense.add_scaled_vector(place, measured, -1.0))
     dense.put_vector(r, 3, angles)
     dense.put_block(H, 0, 0, to_place, 1.0)
@@ -73,7 +82,7 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseOdometry(MountedSensor):
+class PoseOdometry(PlacedSensor):
     """Motion of the sensor relative to the target between two epochs: T_s-s.
 
     z = (r, q_wxyz): r = R_cs^T R_tc-^T (p - p-) with p = r_tc_t + R_tc r_sc_c, the present
@@ -97,17 +106,14 @@ class PoseOdometry(MountedSensor):
     position_sigma: Annotated[Array, Quantity("m", (3,), positive=True, fill=True)]
     attitude_sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
     scene_centre: Annotated[Array, Quantity("m", (3,))] = field(default_factory=lambda: np.zeros(3))
-    sensor_position: Annotated[Array, Quantity("m", (3,))] = field(
-        default_factory=lambda: np.zeros(3)
-    )
     pose: Pose = "orbital"
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return *previous_blocks(self.pose), *pose_blocks(self.pose)
+        return *previous_blocks(self.pose), *pose_blocks(self.pose), *self.mounting_blocks
 
     def constants(self) -> Array:
-        return np.concatenate([super().constants(), self.sensor_position, self.scene_centre])
+        return np.concatenate([super().constants(), self.scene_centre])
 
     def accept(self, z: Array) -> Array:
         """r (m) and unit quaternions, (k, 7).

@@ -21,12 +21,12 @@ from relnav_graph.units import Quantity
 def project_stereo(p: Array, point_s: Array) -> tuple[Array, Array]:
     """Pixels (ul, vl, ur, vr) of a point, and their Jacobian.
 
-    p: (17,): ends with fu, fv, cu, cv (px), baseline b (m); point_s: (3,): X right, Y down, Z ahead
+    p: (18,): ends with fu, fv, cu, cv (px), baseline b (m); point_s: (3,): X right, Y down, Z ahead
     in the left camera, m. Returns (4,), pixels, and (4, 3), pixels per m.
 
         ul = fu X / Z + cu,  ur = fu (X - b) / Z + cu,  vl = vr = fv Y / Z + cv
     """
-    fu, fv, cu, cv, baseline = p[12], p[13], p[14], p[15], p[16]
+    fu, fv, cu, cv, baseline = p[13], p[14], p[15], p[16], p[17]
     x, y, depth = point_s[0], point_s[1], point_s[2]
     pixels = np.empty(4)
     pixels[0] = fu * x / depth + cu
@@ -46,10 +46,11 @@ def project_stereo(p: Array, point_s: Array) -> tuple[Array, Array]:
 def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Predicted minus measured pixels, see `project_stereo` and `point_in_sensor`.
 
-    p (17,): R_cs row by row, r_sc_c (m), fu, fv, cu, cv (px), baseline (m). q (3,): the point X_t,
-    m. z (4,): ul, vl, ur, vr, pixels. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc,
-    r_tc_t (m). r (4,), pixels. H (4, 9) or (4, 6). Status 1: behind the camera; or
-    that of `length_status` for the distance.
+    p (18,): (13,) of the mounting, fu, fv, cu, cv (px), baseline (m). q (3,): the point X_t, m. z
+    (4,): ul, vl, ur, vr, pixels. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t
+    (m); then (12,): R_ns, d_sn_c (m) of an estimated mounting. r (4,), pixels. H (4, 9) or (4, 6),
+    and 6 columns more for the mounting. Status 1: behind the camera; or that of `length_status`
+    for the distance.
     """
     point_s, jacobian = point_in_sensor(p, q, x)
     distance = dense.norm(point_s)
@@ -68,9 +69,9 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
 def cartesian_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Predicted minus measured position in sensor axes, see `point_in_sensor`.
 
-    p (12,): R_cs row by row, r_sc_c (m). q (3,): the point X_t, m. z (3,): position in s, m. x
-    (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m). r (3,), m. H (3, 9) or
-    (3, 6).
+    p (13,): of the mounting. q (3,): the point X_t, m. z (3,): position in s, m. x (21,): R_oc,
+    R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns, d_sn_c (m) of an
+    estimated mounting. r (3,), m. H (3, 9) or (3, 6), and 6 columns more for the mounting.
     """
     point_s, jacobian = point_in_sensor(p, q, x)
     dense.put_vector(r, 0, dense.add_scaled_vector(point_s, z, -1.0))

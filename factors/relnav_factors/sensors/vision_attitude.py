@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from relnav_factors.shared.attitude import AttitudeSensor, attitude_residual
+from relnav_factors.shared.mounting import MOUNTING, mounting_of, without_mounting
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, RELATIVE_ATTITUDE, TARGET_ATTITUDE
@@ -16,25 +17,25 @@ from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
 
 #: Where p says that x is R_ot alone.
-_FIXED = 9
+_FIXED = MOUNTING
 
 
 @jit
 def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
     """``R_st = R_cs^T R_tc^T`` (3, 3), and R_tc (3, 3).
 
-    p: (10,): R_cs row by row, 1 where x is R_ot alone (R_os is then in place of R_cs, and o plays
-    the part of c), else 0; x: (18,): R_oc, R_ot row by row, or (9,): R_tc or R_ot. Matrices of
-    rotations, without unit.
+    p: (14,): (13,) of the mounting, 1 where x is R_ot alone (R_os is then in place of R_cs, and o
+    plays the part of c), else 0; x: (18,): R_oc, R_ot row by row, or (9,): R_tc or R_ot; then (9,):
+    R_ns of an estimated mounting. Matrices of rotations, without unit.
     """
     first = dense.matrix_at(x, 0)
-    if x.shape[0] == 18:
+    if without_mounting(p, x).shape[0] == 18:
         R_tc = dense.transposed_matmul(dense.matrix_at(x, 9), first)
     elif p[_FIXED] != 0.0:
         R_tc = dense.transposed_matmul(first, dense.identity(3))
     else:
         R_tc = first
-    R_ts = dense.matmul(R_tc, dense.matrix_at(p, 0))
+    R_ts = dense.matmul(R_tc, dense.matrix_at(mounting_of(p, x), 0))
     return dense.transposed_matmul(R_ts, dense.identity(3)), R_tc
 
 
@@ -42,17 +43,21 @@ def target_in_sensor(p: Array, x: Array) -> tuple[Array, Array]:
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """``r = Log(R_measured^T R_st)``, in target axes, see `target_in_sensor`.
 
-    p (10,): R_cs row by row, 1 where x is R_ot alone, else 0. q (0,). z (4,): q_wxyz of R_st. x
-    (18,): R_oc, R_ot row by row, or (9,): R_tc or R_ot. r (3,), rad. H (3, 6) or (3, 3), rad/rad.
+    p (14,): (13,) of the mounting, 1 where x is R_ot alone, else 0. q (0,). z (4,): q_wxyz of R_st.
+    x (18,): R_oc, R_ot row by row, or (9,): R_tc or R_ot; then (9,): R_ns of an estimated mounting.
+    r (3,), rad. H (3, 6) or (3, 3), and 3 columns more for the mounting, rad/rad.
     """
     predicted, R_tc = target_in_sensor(p, x)
-    jacobian = attitude_residual(z, predicted, r)
-    if x.shape[0] == 9 and p[_FIXED] != 0.0:
+    jacobian, size = attitude_residual(z, predicted, r), without_mounting(p, x).shape[0]
+    if size == 9 and p[_FIXED] != 0.0:
         dense.put_block(H, 0, 0, jacobian, 1.0)
-        return 0
-    dense.put_block(H, 0, 0, dense.matmul(jacobian, R_tc), -1.0)  # a turn d of c is -R_tc d of t
-    if x.shape[0] == 18:
+    else:  # a turn d of c is -R_tc d of t
+        dense.put_block(H, 0, 0, dense.matmul(jacobian, R_tc), -1.0)
+    if size == 18:
         dense.put_block(H, 0, 3, jacobian, 1.0)
+    if p[12] > 0.0:  # and one of s is -R_st^T d
+        R_ts = dense.transposed_matmul(predicted, dense.identity(3))
+        dense.put_block(H, 0, size // 3, dense.matmul(jacobian, R_ts), -1.0)
     return 0
 
 
@@ -76,8 +81,9 @@ class VisionAttitude(AttitudeSensor):
     @property
     def reads(self) -> tuple[Block, ...]:
         if self.seen_from == "orbital":
-            return CHASER_ATTITUDE, TARGET_ATTITUDE
-        return (RELATIVE_ATTITUDE if self.seen_from == "target" else TARGET_ATTITUDE,)
+            return CHASER_ATTITUDE, TARGET_ATTITUDE, *self.mounting_blocks
+        one = RELATIVE_ATTITUDE if self.seen_from == "target" else TARGET_ATTITUDE
+        return one, *self.mounting_blocks
 
     def constants(self) -> Array:
         return np.array([*super().constants(), self.seen_from == "fixed"], dtype=np.float64)
@@ -90,7 +96,7 @@ class VisionAttitude(AttitudeSensor):
         z: (k, 4), q_wxyz; known: values of the other blocks: with poses in the orbital frame, R_oc
         (3, 3) is needed.
         """
-        R_ct = self.sensor_attitude @ so3.from_quaternion(z[0])
+        R_ct = self.mounted(known)[0] @ so3.from_quaternion(z[0])
         if self.seen_from == "target":
             yield {RELATIVE_ATTITUDE.name: R_ct.T}
         elif self.seen_from == "fixed":

@@ -64,7 +64,8 @@ class GaussMarkov(DynamicsModel):
     """b' = -b / T + white, of standard deviation sigma in the long run.
 
     Exact over any interval: b(t + h) = exp(-h / T) b(t) + noise of variance sigma^2
-    (1 - exp(-2 h / T)) (Gelb 1974, example 3.8-1).
+    (1 - exp(-2 h / T)) (Gelb 1974, example 3.8-1). A bias that is constant needs no process: read
+    and not advanced, it is a static block.
 
     time_constant: T, s.
     """

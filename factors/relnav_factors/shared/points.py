@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
 
-from relnav_factors.shared.mounting import MountedSensor
+from relnav_factors.shared.mounting import PlacedSensor, mounting_of, without_mounting
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (
@@ -36,16 +36,18 @@ def pose_blocks(pose: Pose) -> tuple[Block, ...]:
 
 
 @jit
-def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, Array]:
-    """Position in sensor axes of a point given in target axes, and its Jacobian to the pose.
+def point_seen(mounting: Array, columns: int, point_t: Array, x: Array) -> tuple[Array, Array]:
+    """Position in sensor axes of a point given in target axes, and its Jacobian.
 
-    mounting: (12,): R_cs row by row, r_sc_c (m), the sensor's place in the chaser; point_t: X_t
-    (3,), m; x: (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m). Returns p_s
-    (3,), m, and its Jacobian (3, 9) or (3, 6), m/rad and m/m.
+    mounting: (12,): R_cs row by row, r_sc_c (m), the sensor's place in the chaser; columns: 6 where
+    it is estimated, else 0; point_t: X_t (3,), m; x: (21,): R_oc, R_ot row by row, r_tc_o (m), or
+    (12,): R_tc, r_tc_t (m). Returns p_s (3,), m, and its Jacobian (3, 9 + columns) or (3, 6 +
+    columns) to the pose, then to R_cs and r_sc_c, m/rad and m/m.
 
         p_s = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c)
     """
     orbital = x.shape[0] == 21
+    n = 9 if orbital else 6
     R_cs, R_oc = dense.matrix_at(mounting, 0), dense.matrix_at(x, 0)
     r_at = 18 if orbital else 9
     X_o = dense.matvec(dense.matrix_at(x, 9), point_t) if orbital else point_t
@@ -54,7 +56,7 @@ def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, A
         for j in range(3):
             line_c[i] += R_oc[j, i] * (X_o[j] - x[r_at + j])
     point_s = np.zeros(3)
-    jacobian = np.empty((3, 9 if orbital else 6))
+    jacobian = np.empty((3, n + columns))
     for i in range(3):
         axis_c, axis_o, axis_t = np.empty(3), np.zeros(3), np.zeros(3)  # of the sensor
         for j in range(3):
@@ -70,12 +72,27 @@ def point_in_sensor(mounting: Array, point_t: Array, x: Array) -> tuple[Array, A
                     axis_t[j] += x[9 + 3 * k + j] * axis_o[k]
             so3.put_cross(jacobian, i, 3, axis_t, point_t, -1.0)
         for j in range(3):
-            jacobian[i, jacobian.shape[1] - 3 + j] = -axis_o[j]
+            jacobian[i, n - 3 + j] = -axis_o[j]
+    if columns > 0:
+        dense.put_block(jacobian, 0, n, so3.skew(point_s), 1.0)
+        for i in range(3):
+            for j in range(3):
+                jacobian[i, n + 3 + j] = -R_cs[j, i]
     return point_s, jacobian
 
 
+@jit
+def point_in_sensor(p: Array, point_t: Array, x: Array) -> tuple[Array, Array]:
+    """`point_seen` from the mounting that p and x hold, see `mounting_of`.
+
+    p: starts with the (13,) of a mounting; point_t: (3,), m; x: (21,) or (12,), as there, then R_ns
+    and d_sn_c (m), (12,), where the mounting is estimated. Result: m, m/rad, m/m.
+    """
+    return point_seen(mounting_of(p, x), int(p[12]), point_t, without_mounting(p, x))
+
+
 @dataclass(frozen=True, kw_only=True)
-class PointSensor(MountedSensor):
+class PointSensor(PlacedSensor):
     """What the sensors of known points share.
 
     points: X_t (n, 3), m, target axes; an observation's id is its row. sensor_attitude:
@@ -84,17 +101,11 @@ class PointSensor(MountedSensor):
     """
 
     points: Annotated[Array, Quantity("m", (None, 3))]
-    sensor_position: Annotated[Array, Quantity("m", (3,))] = field(
-        default_factory=lambda: np.zeros(3)
-    )
     pose: Pose = "orbital"
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return pose_blocks(self.pose)
-
-    def constants(self) -> Array:
-        return np.concatenate([super().constants(), self.sensor_position])
+        return *pose_blocks(self.pose), *self.mounting_blocks
 
     def observables(self) -> Indices:
         return np.arange(len(self.points))
@@ -109,7 +120,8 @@ class PointSensor(MountedSensor):
     def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
         """What is weak, or not seen at all, where all points are near each other: the
         range, turns of the target, and turns of everything together in frame o."""
-        R, r = x[-2], x[-1]
+        count = len(pose_blocks(self.pose))
+        R, r = x[count - 2], x[count - 1]
         along = r[:, None] / max(float(np.linalg.norm(r)), 1e-30)
         across = np.linalg.svd(along.T)[2][1:].T
         turned = {"about the line of sight": along, "across the line of sight": across}
@@ -119,13 +131,20 @@ class PointSensor(MountedSensor):
             found["range, along the line of sight"] = (none, along)
             for where, axes in turned.items():
                 found[f"rotation of the chaser {where}"] = (R.T @ axes, 0 * axes)
-            return found
+            return self._padded(found)
         found["range, along the line of sight"] = (none, none, along)
         for where, axes in turned.items():
             found[f"rotation of the target {where}"] = (0 * axes, R.T @ axes, 0 * axes)
         joint = "joint rotation of both attitudes and the position, axis in o"
         found[joint] = (x[0].T, x[1].T, -so3.skew(r))
-        return found
+        return self._padded(found)
+
+    def _padded(self, found: dict[str, tuple[Array, ...]]) -> dict[str, tuple[Array, ...]]:
+        """Directions of the pose, with a mounting that stays."""
+        still = [0 * parts[0] for parts in found.values()]
+        count = len(self.mounting_blocks)
+        pairs = zip(found.items(), still, strict=True)
+        return {name: (*parts, *[zero] * count) for (name, parts), zero in pairs}
 
     def points_in_sensor(self, ids: Indices, *x: Array) -> Array:
         """Positions (k, 3) of the points `ids` in sensor axes, m."""
@@ -147,7 +166,8 @@ class PointSensor(MountedSensor):
         chaser's attitude, which no sensor of points can tell.
         """
         middle_t = self.points[ids].mean(axis=0)
-        middle_c = self.sensor_attitude @ self.centre(ids, z) + self.sensor_position
+        R_cs, r_sc_c = self.mounted(known)
+        middle_c = R_cs @ self.centre(ids, z) + r_sc_c
         for R_tc in axis_rotations():
             if self.pose == "target":
                 r_tc_t = middle_t - R_tc @ middle_c

@@ -67,3 +67,17 @@ def add_step(step: Array, variance: float, h: float, F: Array, Q: Array) -> None
     """
     carry(step, F, Q)
     add_integrated_white_noise(Q, 0, variance, h)
+
+
+@jit
+def put_advanced(total: Array, noise: Array, F: Array, Q: Array) -> None:
+    """Fill F (n, m) and Q (n, n) with the first rows of total and noise, (m, m).
+
+    A block that is constant is only read: it stands last and has no rows. Units: those of the
+    state.
+    """
+    for i in range(Q.shape[0]):
+        for j in range(F.shape[1]):
+            F[i, j] = total[i, j]
+        for j in range(Q.shape[0]):
+            Q[i, j] = noise[i, j]

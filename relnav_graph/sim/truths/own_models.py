@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,8 +47,16 @@ class OwnModels:
         inputs: Mapping[str, InputSeries],
         times: Array,
         rng: np.random.Generator,
+        statics: Mapping[str, Array] = MappingProxyType({}),
     ) -> Truth:
-        """Truth of every block at `times` (N,). Raises InputError on a wrong initial value."""
+        """Truth of every block at `times` (N,), s.
+
+        statics: given values of static blocks, (3, 3) or (dim,), SI. Raises InputError on a wrong
+        initial value, or on one of a block that is given.
+        """
+        for name in self.initial:
+            if name in statics:
+                raise InputError(f"truth.statics.{name}: found a value, and one in truth.initial")
         unknown = set(self.initial) - {b.name for b in layout}
         if unknown:
             raise InputError(f"truth.initial: no block {sorted(unknown)} in the state")
@@ -60,7 +69,8 @@ class OwnModels:
                 raise InputError(
                     f"truth.initial.{name}: found {value!r}, expected {block.dim} numbers: {error}"
                 ) from error
-        xs = [layout.retract(layout.identity, start)]
+        first = layout.retract(layout.identity, start)
+        xs = [layout.pack({**layout.values(first), **statics})]
         for t0, t1 in pairwise(times):
             values = layout.values(xs[-1])
             x_next = dict(values)
