@@ -15,7 +15,16 @@ from streams import RELNAV
 from relnav_graph.cli.main import COMMANDS, main
 
 SHORT = ("--set", "time.epochs=20")
-ROWS = ["ekf", "iekf", "rts", "batch", "incremental", "incremental_smoothed"]
+ROWS = [
+    "ekf",
+    "iekf",
+    "rts",
+    "batch",
+    "incremental",
+    "incremental_smoothed",
+    "isam2",
+    "isam2_smoothed",
+]
 UNITS = {
     "relative_position": "m",
     "relative_velocity": "m/s",
@@ -98,7 +107,7 @@ def test_compare_prints_one_object(capsys: Capture) -> None:
     assert {"relnav-graph", "gtsam", "numpy", "numba", "python"} <= set(found["versions"])
     assert list(found["estimators"]) == ROWS
     for name, row in found["estimators"].items():
-        online = name in ("ekf", "iekf", "incremental")
+        online = name in ("ekf", "iekf", "incremental", "isam2")
         assert row["kind"] == ("filtered" if online else "smoothed")
         assert row["status"] == "ok"
         assert row["runtime_s"] >= 0
