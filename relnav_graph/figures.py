@@ -78,7 +78,8 @@ def row_styles(rows: Mapping[str, Kind]) -> dict[str, dict[str, Any]]:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """One state of one track in table units: t (N,) s, sigma (N, dim), e where known."""
+    """One state of one track in table units: t (N,) s, sigma (N, dim), e where known; constant:
+    whether it is one of the pass."""
 
     name: str
     track: Track
@@ -87,6 +88,7 @@ class _Line:
     t: Array
     sigma: Array
     e: Array | None
+    constant: bool
 
     def reach(self, axis: int) -> Array:
         """How far the error or its 3-sigma band reaches, (N,); 0 where not finite."""
@@ -108,7 +110,7 @@ def _lines(
                 t, P, e = known[state].t, known[state].P, scale * known[state].e
             variance = np.diagonal(P, axis1=1, axis2=2)
             sigma = scale * np.sqrt(np.where(variance >= 0, variance, np.nan))
-            line = _Line(name, track, x.block, styles[name], t, sigma, e)
+            line = _Line(name, track, x.block, styles[name], t, sigma, e, x.constant)
             lines.setdefault(state, []).append(line)
     return lines
 
@@ -174,7 +176,8 @@ def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
     known_as = "error (truth − aim)" if aimed else "error (truth − estimate)"
     what = known_as if known else "1-sigma uncertainty"
     where = "about the axes of" if block.manifold == "SO3" else "in"
-    title = f"{state.replace('_', ' ').capitalize()} {symbol(block)}: {what}"
+    constant = ", a constant" if lines[0].constant else ""
+    title = f"{state.replace('_', ' ').capitalize()} {symbol(block)}{constant}: {what}"
     panels[0].set_title(f"{title}, {where} frame {block.frame[-1:]}", loc="left")
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels()

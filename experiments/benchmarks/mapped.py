@@ -76,7 +76,7 @@ def mapped(problem: Problem, truth: Truth, count: int, seen: int = 10, seed: int
     sensors: dict[str, Any] = {f"point_{j}": PointSight(number=j) for j in range(count)}
     epochs, one = list[Epoch](), np.zeros(1, dtype=np.int64)
     for k, epoch in enumerate(problem.epochs):
-        chosen: Indices = np.sort((seen * k // 2 + np.arange(min(seen, count))) % count)
+        chosen: Indices = np.sort((k + np.arange(min(seen, count))) % count)
         sights = [
             Measurement(
                 f"point_{j}",

@@ -9,7 +9,8 @@ import click
 from relnav_graph.cli.shared import show_events, show_progress
 from relnav_graph.errors import InputError
 from relnav_graph.io.dataset import Format, write_dataset
-from relnav_graph.io.results import read_results, write_csv
+from relnav_graph.io.results import read_results
+from relnav_graph.io.track_tables import write_csv
 from relnav_graph.runs.passes import is_dataset, open_dataset, open_pass
 
 

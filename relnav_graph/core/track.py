@@ -110,6 +110,18 @@ class Track:
         """All blocks: those of the epochs, then the static ones."""
         return self.layout.blocks + (self.statics.layout.blocks if self.statics else ())
 
+    @property
+    def states(self) -> Array:
+        """Stored vectors (N, size) of all blocks, in the order of :attr:`blocks`."""
+        return self.x if self.statics is None else np.hstack([self.x, self.statics.x])
+
+    def at(self, epochs: slice | NDArray[np.bool_]) -> Track:
+        """The same with the estimates of some epochs only."""
+        s = self.statics
+        if s is not None:
+            s = replace(s, x=s.x[epochs], P=s.P[epochs], cross=s.cross[epochs])
+        return replace(self, t=self.t[epochs], x=self.x[epochs], P=self.P[epochs], statics=s)
+
     def value(self, name: str) -> Array:
         """Values of one block, (N, 3, 3) for an attitude, (N, dim) otherwise."""
         if self.statics is not None and name in self.statics.layout:

@@ -6,8 +6,7 @@
     epochs.csv            t_s; optional, else the times of the measurements
     <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s
     <input>.csv           t_start_s, t_end_s, the columns that its process declares
-    truth_<block>.csv     t_s, the columns of `component_columns`; optional; of a static block,
-                          which has one value for the pass, one row is enough
+    truth_<block>.csv     t_s, the columns of `component_columns`; optional
     dataset.toml          format, settings that the data bring, digests; optional
 
 Units are SI and stand in the names of the columns; one row is one observation, in order
@@ -16,7 +15,8 @@ since the row before, and the first row only says when the first interval starts
 are missing, the scenario's [gaps] says what is done. Times are those of any clock: its [time]
 origin is taken off them. A table may be Parquet instead. A folder made by hand needs no
 ``dataset.toml``; where there is one, every table that it lists must still be as it was written.
-Truth is interpolated at the epochs between its rows, see `relnav_graph.io.truth`. The scenario of
+Truth is interpolated at the epochs between its rows, see `relnav_graph.io.truth`; that of a static
+block, which has one value for the pass, may be one row without ``t_s``. The scenario of
 a data set may name no module ("module:Class"), which is code, unless it is trusted.
 """
 
@@ -201,8 +201,8 @@ def read_dataset(
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
-    inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics: which
-    of the blocks are static, so that one row of truth is enough.
+    inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
+    which of the blocks are static, see `relnav_graph.io.truth.read_truth`.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was

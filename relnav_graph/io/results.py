@@ -1,9 +1,14 @@
-"""Results: tracks and truth in one NetCDF-4 file, or tracks as CSV tables.
+"""Results: tracks and truth in one NetCDF-4 file.
 
 Each track is a group of its name. The smoothed track that an online estimator ends with is a
 group ``NAME_smoothed``; the truth a group ``truth``, or ``NAME_truth`` where the estimator flew
 a pass of its own. Attitudes are stored as quaternions, covariances in tangent coordinates. The
 definitions of the blocks stand beside the numbers, so that reading needs nothing else.
+
+Static blocks, which have one value for the pass, are variables of their track's group like the
+others, with ``static_covariance``, and ``cross_covariance`` with the states of the epochs: over
+``time`` where each epoch says something else of them, over ``pass``, of length one, where all say
+the same, as smoothers do.
 """
 
 from __future__ import annotations
@@ -11,7 +16,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
@@ -21,16 +26,13 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.state import Block, Layout
-from relnav_graph.core.track import Kind, Status, Track, Truth
+from relnav_graph.core.track import Kind, Statics, Status, Track, Truth
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.files import file_in
-from relnav_graph.io.atomic import atomic
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
 from relnav_graph.io.stored import Count, check_json
-from relnav_graph.io.tabular import component_columns, from_components, to_components, write_table
+from relnav_graph.io.tabular import from_components, tangent_columns, to_components
 
-__all__ = ["cautions_in", "cautions_out", "read_results", "write_csv", "write_results"]
-
+__all__ = ["cautions_in", "cautions_out", "read_results", "write_results"]
 
 _FORMAT = "relnav-graph results"
 _VERSION = 1
@@ -38,8 +40,8 @@ _VERSION = 1
 _OWN = ("format", "format_version", "writer", "tracks", "sha256")
 
 
-def _block_variable(block: Block, values: Array) -> Variable:
-    """A block over time, with its definition in the attributes."""
+def _block_variable(block: Block, values: Array, over: str = "time") -> Variable:
+    """A block over time, or over the pass, with its definition in the attributes."""
     quaternion = block.manifold == "SO3"
     what = ", Hamilton quaternion, scalar first (q_wxyz)" if quaternion else ""
     attributes: Attributes = {
@@ -53,7 +55,7 @@ def _block_variable(block: Block, values: Array) -> Variable:
         "table_units": block.table_unit,
     }
     components = to_components(block, values)
-    return Variable(("time", f"{block.name}_component"), components, attributes)
+    return Variable((over, f"{block.name}_component"), components, attributes)
 
 
 @dataclass(frozen=True)
@@ -90,13 +92,34 @@ def cautions_in(where: str, text: str) -> tuple[Caution, ...]:
     return tuple(check_json(where, text.encode(), list[Caution]))
 
 
-def _tangent_columns(block: Block) -> tuple[str, ...]:
-    return component_columns(replace(block, manifold="vector"))
-
-
 def _time(t: Array) -> Variable:
     long_name = "time since the epoch of the scenario"
     return Variable(("time",), np.asarray(t), {"units": "s", "long_name": long_name})
+
+
+def _orders(blocks: Iterable[Block], of: str) -> Attributes:
+    """What the rows and columns of a covariance are."""
+    blocks = list(blocks)
+    return {
+        "block_order": " ".join(b.name for b in blocks),
+        f"{of}_names": " ".join(f"{b.name}_{c}" for b in blocks for c in tangent_columns(b)),
+    }
+
+
+def _statics_variables(statics: Statics) -> dict[str, Variable]:
+    blocks, x, P = statics.layout.blocks, statics.x, statics.P
+    one = len(x) > 1 and bool((x == x[:1]).all() and (P[:1] == P).all())
+    if one:
+        x, P = x[:1], P[:1]
+    over, names = ("pass" if one else "time"), _orders(blocks, "static")
+    found = {b.name: _block_variable(b, statics.layout.value(x, b.name), over) for b in blocks}
+    what = "covariance of the right perturbation, SI units and rad, of blocks with one value"
+    own: Attributes = {"long_name": what, **names}
+    found["static_covariance"] = Variable((over, "static", "static_2"), P, own)
+    what = "covariance of the states of an epoch with blocks that have one value"
+    between: Attributes = {"long_name": what, **names}
+    cross = Variable(("time", "state", "static"), statics.cross, between)
+    return {**found, "cross_covariance": cross}
 
 
 def _track_group(track: Track, smoothed: str, truth: str) -> Group:
@@ -105,11 +128,12 @@ def _track_group(track: Track, smoothed: str, truth: str) -> Group:
     variables |= {b.name: _block_variable(b, track.value(b.name)) for b in blocks}
     covariance: Attributes = {
         "long_name": "covariance of the right perturbation, SI units and rad",
-        "block_order": " ".join(b.name for b in blocks),
-        "state_names": " ".join(f"{b.name}_{c}" for b in blocks for c in _tangent_columns(b)),
+        **_orders(blocks, "state"),
     }
     # Two names for one length: xarray cannot work with a dimension that occurs twice.
     variables["covariance"] = Variable(("time", "state", "state_2"), track.P, covariance)
+    if track.statics is not None:
+        variables |= _statics_variables(track.statics)
     if track.step_s is not None:
         step: Attributes = {"units": "s", "long_name": "computing time of each online step"}
         variables["step_s"] = Variable(("step",), track.step_s, step)
@@ -165,10 +189,10 @@ def write_results(
         if track.smoothed is not None:
             _add_track(groups, smoothed, track.smoothed, "", flight)
         if track.truth is not None:
-            flown = {b.name: b for b in (*blocks, *track.layout, *track.controlled)}
+            flown = {b.name: b for b in (*blocks, *track.blocks, *track.controlled)}
             groups[flight] = _truth_group(track.truth, flown)
     if truth is not None:
-        known = {b.name: b for b in (*blocks, *(b for t in tracks for b in t.layout))}
+        known = {b.name: b for b in (*blocks, *(b for t in tracks for b in t.blocks))}
         groups["truth"] = _truth_group(truth, known)
     for key in attributes:
         if key in _OWN:
@@ -241,14 +265,42 @@ def _block_values(where: str, group: Group, block: Block, count: int) -> Array:
     return from_components(block, _values(where, group, block.name, shape))
 
 
+def _layout(where: str, group: Group, covariance: str) -> Layout:
+    """Of the blocks that a covariance names."""
+    order = str(_variable(where, group, covariance).attributes.get("block_order", "")).split()
+    return Layout(_block_of(where, key, _variable(where, group, key)) for key in order)
+
+
+def _stored_states(where: str, group: Group, layout: Layout, count: int) -> Array:
+    columns = [np.zeros((count, 0))]
+    columns += [_block_values(where, group, b, count).reshape(count, -1) for b in layout]
+    return np.hstack(columns)
+
+
+def _statics(where: str, group: Group, layout: Layout, count: int) -> Statics | None:
+    """The static blocks of a group whose epochs, `count` of them, have a layout."""
+    kept = {"static_covariance", "cross_covariance"} & set(group.variables)
+    if not kept:
+        return None
+    own = _layout(where, group, "static_covariance")
+    both = [b.name for b in own if b.name in layout]
+    if both or not own:
+        found = f"{both[0]!r}, a block of the epochs too" if both else "no block"
+        raise InputError(f"{where}/static_covariance: damaged: block_order: found {found}")
+    values = _variable(where, group, "static_covariance")
+    rows = 1 if values.dimensions[:1] == ("pass",) else count
+    x = _stored_states(where, group, own, rows)
+    P = _values(where, group, "static_covariance", (rows, own.dim, own.dim))
+    cross = _values(where, group, "cross_covariance", (count, layout.dim, own.dim))
+    x, P = (np.broadcast_to(a, (count, *a.shape[1:])) for a in (x, P))
+    return Statics(own, x, P, cross)
+
+
 def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = False) -> Track:
     where, group = f"{path}, {name}", _group(path, groups, name)
     a = check_json(where, _json(group.attributes), _StoredTrack)
-    order = str(_variable(where, group, "covariance").attributes.get("block_order", "")).split()
-    layout = Layout(_block_of(where, key, _variable(where, group, key)) for key in order)
+    layout = _layout(where, group, "covariance")
     t = _values(where, group, "time", (-1,))
-    columns = [np.zeros((len(t), 0))]
-    columns += [_block_values(where, group, b, len(t)).reshape(len(t), -1) for b in layout]
     if nested and a.smoothed:
         raise InputError(f"{where}: damaged: smoothed: found {a.smoothed!r}, of a smoothed track")
     truth = _group(path, groups, a.truth) if a.truth else None
@@ -258,7 +310,7 @@ def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = Fal
         kind=a.kind,
         layout=layout,
         t=t,
-        x=np.hstack(columns),
+        x=_stored_states(where, group, layout, len(t)),
         P=_values(where, group, "covariance", (len(t), layout.dim, layout.dim)),
         status=a.status,
         message=a.message,
@@ -272,6 +324,7 @@ def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = Fal
             _block_of(where, n, _variable(where, truth, n)) for n in controlled if truth is not None
         ),
         cautions=tuple(a.cautions),
+        statics=_statics(where, group, layout, len(t)),
     )
 
 
@@ -296,28 +349,3 @@ def read_results(
     tracks = [_track(file, groups, name) for name in names]
     truth = _truth(f"{file}, truth", groups["truth"]) if "truth" in groups else None
     return tracks, truth, {k: str(v) for k, v in attributes.items() if k not in _OWN}
-
-
-def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
-    """One table per track, and per smoothed track: time, components, sigmas; SI and rad.
-
-    Attitudes are quaternions, their sigmas rotation angles about the axes on the right of
-    the frame's letters. Raises InputError when a file cannot be written, or would lie elsewhere.
-    """
-    for track in tracks:
-        file_in(folder, f"{track.name}.csv")
-    for track in tracks:
-        columns = {"t_s": track.t}
-        for block in track.layout:
-            components = to_components(block, track.value(block.name))
-            variances = np.diagonal(track.covariance(block.name), axis1=1, axis2=2)
-            with np.errstate(invalid="ignore"):  # a diverged track: NaN says so
-                sigmas = np.sqrt(variances)
-            for name, values in zip(component_columns(block), components.T, strict=True):
-                columns[f"{block.name}_{name}"] = values
-            for name, values in zip(_tangent_columns(block), sigmas.T, strict=True):
-                columns[f"sigma_{block.name}_{name}"] = values
-        with atomic(file_in(folder, f"{track.name}.csv")) as staged:
-            write_table(staged, columns)
-        if track.smoothed is not None:
-            write_csv(folder, [replace(track.smoothed, name=f"{track.name}_smoothed")])

@@ -9,7 +9,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,6 +29,7 @@ __all__ = [
     "component_columns",
     "from_components",
     "read_table",
+    "tangent_columns",
     "to_components",
     "write_table",
 ]
@@ -47,6 +48,11 @@ def component_columns(block: Block) -> tuple[str, ...]:
     unit = re.sub(r"[^\w]+", "", re.sub(r"[/*]", "_", block.unit))
     axes = "xyz" if block.dim == 3 else [str(i + 1) for i in range(block.dim)]
     return tuple(f"{axis}_{unit}" for axis in axes)
+
+
+def tangent_columns(block: Block) -> tuple[str, ...]:
+    """Names of the columns of an error, or of sigmas: as :func:`component_columns` of a vector."""
+    return component_columns(replace(block, manifold="vector"))
 
 
 def to_components(block: Block, values: Array) -> Array:
@@ -194,7 +200,7 @@ def _read_csv(path: Path) -> Table:
 
 def _number(text: str) -> float:
     try:
-        return float(text)
+        return np.nan if "_" in text else float(text)  # Python reads 1_1, a column, as 11
     except ValueError:
         return np.nan
 

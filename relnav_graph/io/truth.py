@@ -70,13 +70,16 @@ def between(block: Block, t: Array, values: Array, times: Array) -> Array:
     return out
 
 
-def _table(folder: Path, block: Block) -> Table | None:
+def _table(folder: Path, block: Block, constant: bool) -> Table | None:
     table = read_table(folder, f"truth_{block.name}")
     if table is None:
         return None
     columns = component_columns(block)
-    table.require(("t_s", *columns))
-    table.increasing("t_s")
+    if constant and len(table.lines) == 1 and "t_s" not in table.columns:
+        table.require(columns)
+    else:
+        table.require(("t_s", *columns))
+        table.increasing("t_s")
     if block.manifold == "SO3":
         norm = np.linalg.norm(table.stack(columns), axis=1)
         table.refuse(
@@ -132,27 +135,28 @@ def read_truth(
     """Truth of those of `blocks` that have a table ``truth_NAME``, at all their times, and at the
     `epochs` (M,), s, between them.
 
-    source: where it is from; statics: names of blocks that have one value for the whole pass: a
-    table of one row says it. None without any table. Raises InputError, naming file, line and
-    column, on a table with other columns, times that do not increase, or a quaternion whose
-    length is not one within 1e-3; it is normalised.
+    source: where it is from; statics: names of static blocks, which are known at all times where
+    all rows of their table are the same; one row needs no time. None without any table. Raises
+    InputError, naming file, line and column, on a table with other columns, times that do not
+    increase, or a quaternion whose length is not one within 1e-3; it is normalised.
     """
     found = {}
     for name, block in blocks.items():
-        table = _table(folder, block)
+        table = _table(folder, block, name in statics)
         if table is not None:
             known = from_components(block, table.stack(component_columns(block)))
             found[name] = table, known
     if not found:
         return None
-    own = np.unique(np.concatenate([table["t_s"] for table, _ in found.values()]))
+    timed = [table["t_s"] for table, _ in found.values() if "t_s" in table.columns]
+    own = np.unique(np.concatenate([np.zeros(0), *timed]))
     lacking = epochs[~Truth(own, {}).at(epochs)[1]]
     times = np.sort(np.concatenate([own, lacking]))
     at, _ = Truth(times, {}).at(epochs)
     values = {}
     for name, (table, known) in found.items():
-        if name in statics and len(known) == 1:
-            values[name] = np.repeat(known, len(times), axis=0)
+        if name in statics and len(known) and (known == known[0]).all():
+            values[name] = np.tile(known[0], (len(times), *([1] * (known.ndim - 1))))
             continue
         values[name] = np.full((len(times), *known.shape[1:]), np.nan)
         values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs)

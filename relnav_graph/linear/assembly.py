@@ -25,6 +25,7 @@ from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.linear import rows
 from relnav_graph.linear.intervals import ProcessRows, process_rows
 from relnav_graph.linear.tables import (
+    COLUMNS,
     EPOCH,
     Q_DATA,
     ROW,
@@ -187,6 +188,16 @@ class Assembly:
                 out[own, column + 1] = out[own, column] + width
             out[own, WHITEN] = numbers.add(whiten)[0] + sensor.rows**2 * np.arange(len(own))
         return out
+
+    def static_columns(self, first: int, last: int) -> Indices:
+        """The columns of the static blocks, counted from their first, that the observations of
+        epochs first to last - 1 read, and the intervals after them."""
+        n, seen = self.layout.moving.dim, slice(*self.epoch_offsets[[first, last]])
+        chosen = self.tables.sensors[np.unique(self.sensor_of[seen])]
+        places = [self.tables.places[one[COLUMNS] : one[COLUMNS + 1]] for one in chosen]
+        places += [self.tables.places[p[COLUMNS] : p[COLUMNS + 1]] for p in self.tables.processes]
+        columns: Indices = np.unique(np.concatenate(places)) - n
+        return columns[columns >= 0]
 
     def at(self, k: int) -> Assembly:
         """The assembly of epoch k alone, with the interval that leads to it.

@@ -17,7 +17,7 @@ from numba import types
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dtrtri
 
-from relnav_graph.arrays import Array
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import give_way, jit_loop
 from relnav_graph.compiled.contracts import MATRIX, STACK, VECTOR
 from relnav_graph.core.problem import Prior
@@ -26,7 +26,7 @@ from relnav_graph.linear.whitening import inverse_cholesky
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import inverse_upper, sandwich
 
-__all__ = ["Anchor", "Conditionals", "Marginals", "anchor_of"]
+__all__ = ["Anchor", "Conditionals", "Marginals", "anchor_of", "go_back"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +111,32 @@ class Marginals:
         return np.block([[P, cross], [cross.transpose(0, 2, 1), statics]])
 
 
+def go_back(
+    R: Array, S: Array, T: Array, own: Indices, P_end: Array, cross_end: Array, P_b: Array
+) -> tuple[Array, Array]:
+    """Covariances P (N, n, n) of epochs with a border b, and cross (N, n, m) of both, backwards.
+
+        P_kb = -R_k^-1 (S_k P_k+1,b + T_k P_bb)
+        P_k  =  R_k^-1 (I + [S T] P_(k+1,b) [S T]^T) R_k^-T
+
+    R (N, n, n), S (N - 1, n, n), T (N, n, columns): their conditionals, given the states `own`
+    (columns,) of the border; P_end (n, n), cross_end (n, m): of the last epoch; P_b (m, m): of the
+    border.
+    """
+    count, n = R.shape[:2]
+    P, cross = np.empty_like(R), np.empty((count, n, len(P_b)))
+    P[-1], cross[-1], unit = P_end, cross_end, np.eye(n)
+    rows, inside = P_b[own], P_b[np.ix_(own, own)]
+    for k in range(count - 2, -1, -1):
+        inverse = solve_triangular(R[k], unit, check_finite=False)
+        to_next, to_border = inverse @ S[k], inverse @ T[k]
+        mixed = to_next @ cross[k + 1][:, own] @ to_border.T
+        P[k] = inverse @ inverse.T + to_next @ P[k + 1] @ to_next.T + mixed + mixed.T
+        P[k] += to_border @ inside @ to_border.T
+        cross[k] = -(to_next @ cross[k + 1] + to_border @ rows)
+    return 0.5 * (P + P.transpose(0, 2, 1)), cross
+
+
 @dataclass(frozen=True, eq=False)
 class Conditionals:
     """``R_k y_k + S_k y_k+1 + T_k y_s = d_k`` of every epoch, and ``R_s y_s = d_s``.
@@ -156,9 +182,6 @@ class Conditionals:
     def marginals(self, end: Array | None = None) -> Marginals:
         """Marginal covariances of all epochs and of the static blocks.
 
-            P_ks = -R_k^-1 (S_k P_k+1,s + T_k P_ss)
-            P_k  =  R_k^-1 (I + [S T] P_(k+1,s) [S T]^T) R_k^-T
-
         end (n + m, n + m): that of the last epoch, where data beyond this part determine it.
         """
         count, n = self.d.shape
@@ -168,19 +191,10 @@ class Conditionals:
                 P[-1] = end
             _covariances(self.R, self.S, P, int(end is not None))
             return Marginals(P, np.empty((0, 0)), np.empty((count, n, 0)))
-        cross = np.empty((count, n, m))
         if end is None:
             end = self.last_covariance()
-        P[-1], cross[-1], P_s = end[:n, :n], end[:n, n:], end[n:, n:]
-        spread = self.T @ P_s
-        for k in range(count - 2, -1, -1):
-            inverse = solve_triangular(self.R[k], np.eye(n))
-            S_cross, T = self.S[k] @ cross[k + 1], self.T[k]
-            mixed = S_cross @ T.T
-            inner = self.S[k] @ P[k + 1] @ self.S[k].T + mixed + mixed.T + spread[k] @ T.T
-            half = inverse @ (np.eye(n) + 0.5 * (inner + inner.T))
-            P[k] = half @ inverse.T
-            cross[k] = -inverse @ (S_cross + spread[k])
+        P_s = end[n:, n:]
+        P, cross = go_back(*(self.R, self.S, self.T, np.arange(m), end[:n, :n], end[:n, n:], P_s))
         return Marginals(P, P_s, cross)
 
     def covariances(self, end: Array | None = None) -> Array:

@@ -136,7 +136,12 @@ def results(summary: Mapping[str, Any]) -> dict[str, Table]:
     out: dict[str, Table] = {}
     for kind in KINDS:
         rows = {n: r for n, r in summary["estimators"].items() if r["kind"] == kind}
-        units = {s: v["unit"] for row in rows.values() for s, v in row["states"].items()}
+        units = {
+            s: v["unit"]
+            for row in rows.values()
+            for s, v in row["states"].items()
+            if s not in row.get("statics", {})
+        }
         body = []
         for state, unit in units.items():
             body.append([Cell(_unit(state, unit), "strong")])
@@ -147,6 +152,45 @@ def results(summary: Mapping[str, Any]) -> dict[str, Table]:
         if body:
             out[kind] = Table(head, body)
     return out
+
+
+def _constant(name: str, row: Mapping[str, Any], one: Mapping[str, Any], study: bool) -> list[Cell]:
+    bound = [number(one.get("bound")), number(one.get("efficiency"), 3)]
+    return _cells(
+        [
+            name,
+            row["kind"],
+            number(one.get("rmse")),
+            *([_interval(one.get("rmse_ci"))] if study else []),
+            number(one.get("sigma")),
+            *(bound if study else []),
+            _inside(one.get("anees"), one.get("anees_band")),
+            _interval(one.get("anees_band")),
+        ]
+    )
+
+
+def constants(summary: Mapping[str, Any]) -> Table | None:
+    """Static blocks as at the last epoch, a row per estimator; None without any."""
+    study = "runs" in summary
+    rows = {n: r for n, r in summary["estimators"].items() if "statics" in r}
+    units = {s: v["unit"] for row in rows.values() for s, v in row["statics"].items()}
+    head = ["row", "kind", *(["RMSE", "95 % interval"] if study else ["error"]), "1-sigma",
+            *(["bound", "RMSE / bound"] if study else []), "ANEES", "95 % band"]  # fmt: skip
+    body = []
+    for block, unit in units.items():
+        body.append([Cell(_unit(block, unit), "strong")])
+        body += [
+            _constant(name, row, row["statics"][block], study)
+            for name, row in rows.items()
+            if block in row["statics"]
+        ]
+    if len(units) > 1:
+        body.append([Cell("all of them, jointly", "strong")])
+        for name, row in rows.items():
+            both = {key: row[f"statics_{key}"] for key in ("anees", "anees_band")}
+            body.append(_constant(name, row, both, study))
+    return Table(head, body, 2) if body else None
 
 
 def judgements(summary: Mapping[str, Any]) -> Table:

@@ -203,7 +203,8 @@ def _study_context(study: StudyContents, gallery: Gallery) -> dict[str, Any]:
     figures = _over_runs(study, gallery)
     again = study.remake(study.worst[0].run) if study.worst else None
     if again is not None:
-        context["remade"] = cells.results(again.summary)
+        own = cells.constants(again.summary)
+        context["remade"] = cells.results(again.summary) | ({"constants": own} if own else {})
         figures["pass"] = _of_pass(again, gallery)  # type: ignore[assignment]
     return {**context, "figures": figures}
 
@@ -244,6 +245,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "overview": cells.overview(summary),
         "cautions": cells.cautions(summary),
         "results": cells.results(summary),
+        "constants": cells.constants(summary),
         "command": content.command,
         "versions": content.versions,
         "version": VERSION,

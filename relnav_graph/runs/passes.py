@@ -133,9 +133,10 @@ def _read_folder(where: str, raw: Mapping[str, Any], folder: Path) -> Recording:
 
 def _recorded(scenario: Scenario, folder: Path) -> Recording:
     """The recording in a data set; a sensor's table is read by the scenario's model."""
-    blocks = {b.name: b for b in scenario.layout}
-    time, models = scenario.file.time, (scenario.sensors, scenario.input_columns)
-    found = read_dataset(folder, *models, blocks, time.tolerance, scenario.layout.statics)
+    layout, time = scenario.layout, scenario.file.time
+    blocks = {b.name: b for b in layout}
+    models = scenario.sensors, scenario.input_columns
+    found = read_dataset(folder, *models, blocks, time.tolerance, layout.statics)
     return found.shifted(-time.origin)
 
 

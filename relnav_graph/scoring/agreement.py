@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
+from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track
 from relnav_graph.estimators.second_look import SECOND_LOOK
 
@@ -23,6 +26,8 @@ REFERENCES = ("batch", "rts")
 FAR = 3.0
 #: Mean square of the distance from the reference, in a filter's own sigmas, that is a caution.
 OVERCONFIDENT = 3.0
+#: Epochs whose joint covariances are made at a time: with many static blocks they are large.
+_AT_ONCE = 500
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # diverged tracks: None in the end
@@ -36,11 +41,23 @@ def _apart(track: Track, reference: Track) -> float | None:
     if track.layout != reference.layout or not np.array_equal(track.t, reference.t):
         return None
     epochs = slice(-1, None) if track.kind == "filtered" else slice(None)
-    d = track.layout.local(reference.x[epochs], track.x[epochs])
-    P = (track if track.kind == "fixed-lag" else reference).P[epochs]
-    sigmas = np.abs(d) / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-    largest = float(sigmas.max(initial=0.0))
+    a, b = reference.at(epochs), track.at(epochs)
+    whose, sigmas = b if track.kind == "fixed-lag" else a, []
+    for block in _shared(a, b):
+        variance = np.diagonal(whose.covariance(block.name), axis1=1, axis2=2)
+        sigmas.append(np.abs(_apart_in(block, a, b)) / np.sqrt(variance))
+    largest = float(np.hstack(sigmas).max(initial=0.0))
     return largest if np.isfinite(largest) else None
+
+
+def _shared(a: Track, b: Track) -> list[Block]:
+    """The blocks that both have, static ones included."""
+    return [block for block in a.blocks if block in b.blocks]
+
+
+def _apart_in(block: Block, a: Track, b: Track) -> Array:
+    """Tangent vectors (N, dim) of a block from the track a to b."""
+    return block.local(a.value(block.name), b.value(block.name))
 
 
 def distances(tracks: Mapping[str, Track]) -> tuple[str, dict[str, float | None]]:
@@ -63,13 +80,19 @@ def _overconfidence(track: Track, reference: Track) -> float:
 
     At most 1 in the mean where both are consistent: x - r has the covariance P less that of r.
     """
-    late = slice(len(track.t) // 4, None)
-    d = track.layout.local(reference.x[late], track.x[late])
-    try:
-        white = np.linalg.solve(np.linalg.cholesky(track.P[late]), d[:, :, None])
-    except np.linalg.LinAlgError:
-        return 0.0
-    return float(np.square(white).sum(axis=1).mean() / d.shape[1])
+    blocks, squares = _shared(reference, track), []
+    for begin in range(len(track.t) // 4, len(track.t), _AT_ONCE):
+        epochs = slice(begin, begin + _AT_ONCE)
+        a, b = reference.at(epochs), track.at(epochs)
+        d = np.hstack([_apart_in(block, a, b) for block in blocks])
+        P = b.covariance(*(block.name for block in blocks))
+        try:
+            with threadpool_limits(1, "blas"):  # threads wait for each other on small matrices
+                white = np.linalg.solve(np.linalg.cholesky(P), d[:, :, None])
+        except np.linalg.LinAlgError:
+            return 0.0
+        squares.append(np.square(white).sum(axis=1))
+    return float(np.concatenate(squares).mean() / sum(block.dim for block in blocks))
 
 
 def row_cautions(

@@ -13,7 +13,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track, Truth
+from relnav_graph.core.track import Track, Truth, estimates
 from relnav_graph.errors import InputError
 from relnav_graph.linear.assembly import Assembly, MeasurementRows
 from relnav_graph.linear.conditionals import Anchor
@@ -25,8 +25,9 @@ __all__ = ["Bounds", "bounds", "true_trajectory"]
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Tracks whose covariances (N, n, n) are the bounds: filtered, for any filter; smoothed, for
-    any smoother of the whole pass. Their states are the trajectory itself."""
+    """Tracks whose covariances (N, n, n), those of static blocks too, are the bounds: filtered, for
+    any filter; smoothed, for any smoother of the whole pass. Their states are the trajectory
+    itself."""
 
     filtered: Track
     smoothed: Track
@@ -57,13 +58,17 @@ def _filtered(P: Array, F: Array, Q: Array, rows: MeasurementRows, offsets: Indi
     """The covariance recursion of the Kalman filter at fixed linearisation, (N, n, n).
 
     P_k|k-1 = F P F^T + Q; with whitened rows H (R = I): K = P H^T (H P H^T + I)^-1 and
-    P_k = (I - K H) P (I - K H)^T + K K^T (Joseph's form). P (n, n): of the prior; F, Q
-    (N - 1, n, n); offsets (N + 1,): where the rows of each epoch begin.
+    P_k = (I - K H) P (I - K H)^T + K K^T (Joseph's form). P (n, n): of the prior; F (N - 1, m, n),
+    Q (N - 1, m, m): of the m moving columns, before the static ones, which stay as they are;
+    offsets (N + 1,): where the rows of each epoch begin.
     """
-    one, out = np.eye(len(P)), []
+    one, out, m = np.eye(len(P)), [], F.shape[1]
     for k in range(len(offsets) - 1):
         if k:
-            P = F[k - 1] @ P @ F[k - 1].T + Q[k - 1]
+            whole = one.copy()
+            whole[:m] = F[k - 1]
+            P = whole @ P @ whole.T
+            P[:m, :m] += Q[k - 1]
         H = rows.H[offsets[k] : offsets[k + 1]]
         if len(H):
             gain = np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T
@@ -89,9 +94,9 @@ def bounds(problem: Problem, x: Array) -> Bounds:
     whiten = inverse_cholesky("the prior", problem.prior.P)
     anchor = Anchor(x[0], whiten, np.zeros(layout.dim))
     system = linearize(assembly, anchor, x, assembly.whitening_of(x_next, Q), weights)
-    smoothed = system.conditionals.covariances()
+    smoothed = system.conditionals.marginals().whole()
     filtered = _filtered(problem.prior.P, F, Q, rows, assembly.row_offsets)
     return Bounds(
-        Track("filter_bound", "filtered", layout, problem.times, x, filtered),
-        Track("smoother_bound", "smoothed", layout, problem.times, x, smoothed),
+        Track("filter_bound", "filtered", t=problem.times, **estimates(layout, x, filtered)),
+        Track("smoother_bound", "smoothed", t=problem.times, **estimates(layout, x, smoothed)),
     )

@@ -17,13 +17,14 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.models import DerivedQuantity
-from relnav_graph.core.state import Block
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
 
 __all__ = [
     "StateErrors",
     "StateEstimates",
+    "at_the_end",
     "chi2_band",
     "deviations",
     "errors",
@@ -43,11 +44,13 @@ _RANK = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class StateEstimates:
-    """One state over a pass: value (N, 3, 3) or (N, dim), P (N, dim, dim), SI."""
+    """One state over a pass: value (N, 3, 3) or (N, dim), P (N, dim, dim), SI; constant: whether it
+    is a static block, or derived of such alone."""
 
     block: Block
     value: Array
     P: Array
+    constant: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,18 +100,20 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
 
     A derived quantity with the name of a block is left out: the block is the estimate.
     """
-    layout = track.layout
+    own, moving = {b.name: b for b in track.blocks}, set(track.layout.blocks)
     found = {
-        b.name: StateEstimates(b, track.value(b.name), track.covariance(b.name)) for b in layout
+        n: StateEstimates(b, track.value(n), track.covariance(n), b not in moving)
+        for n, b in own.items()
     }
     for quantity in derived:
         # The blocks, not only their names: a position in another frame is another block.
-        if quantity.block.name in layout or not set(quantity.reads) <= set(layout.blocks):
+        if quantity.block.name in own or not set(quantity.reads) <= set(own.values()):
             continue
-        value, jacobian = _evaluate(quantity, [track.value(b.name) for b in quantity.reads])
-        _, index = layout.gather(quantity.reads)
-        P = jacobian @ track.P[:, index[:, None], index] @ jacobian.transpose(0, 2, 1)
-        found[quantity.block.name] = StateEstimates(quantity.block, value, P)
+        names = [b.name for b in quantity.reads]
+        value, jacobian = _evaluate(quantity, [track.value(n) for n in names])
+        P = jacobian @ track.covariance(*names) @ jacobian.transpose(0, 2, 1)
+        constant = moving.isdisjoint(quantity.reads)
+        found[quantity.block.name] = StateEstimates(quantity.block, value, P, constant)
     for block in track.controlled:
         one = np.eye(3) if block.manifold == "SO3" else np.zeros(block.dim)
         aim = np.tile(one, (len(track.t), *([1] * one.ndim)))
@@ -163,18 +168,28 @@ def errors(track: Track, truth: Truth, derived: Sequence[Derived]) -> dict[str, 
     return deviations(estimates(track, derived), track.t, truth, derived)
 
 
-def joint(found: Iterable[StateErrors], track: Track) -> tuple[Array, Array]:
-    """Errors (M, n) and joint covariance (M, n, n) of all blocks that truth knows.
+def joint(found: Iterable[StateErrors], track: Track, layout: Layout) -> tuple[Array, Array]:
+    """Errors (M, n) and joint covariance (M, n, n) of those blocks of a layout that truth knows.
 
-    SI, in tangent coordinates; of the M epochs at which truth knows all of them.
+    layout: of the track's epochs, or of its statics. SI, in tangent coordinates; of the M epochs
+    at which truth knows all of them.
     """
-    blocks = [s for s in found if s.block.name in track.layout]
+    blocks = [s for s in found if s.block.name in layout]
     if not blocks:
         return np.zeros((0, 1)), np.zeros((0, 1, 1))
     common = reduce(np.intersect1d, [s.t for s in blocks])
-    _, index = track.layout.gather(s.block for s in blocks)
     e = np.hstack([s.e[np.isin(s.t, common)] for s in blocks])
-    return e, track.P[np.isin(track.t, common)][:, index[:, None], index]
+    P = track.at(np.isin(track.t, common)).covariance(*(s.block.name for s in blocks))
+    return e, P
+
+
+def at_the_end(constants: Mapping[str, StateErrors]) -> dict[str, StateErrors]:
+    """Errors (1, dim) of constants that truth knows, at the last epoch at which it knows all of
+    them: what a filter has learned of a constant is what it ends with."""
+    common = reduce(np.intersect1d, [s.t for s in constants.values()]) if constants else np.zeros(0)
+    if not len(common):
+        return {}
+    return {name: s.where(s.t == common[-1]) for name, s in constants.items()}
 
 
 def nees(e: Array, P: Array) -> tuple[Array, Indices]:

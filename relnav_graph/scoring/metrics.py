@@ -27,6 +27,7 @@ from relnav_graph.scoring.deviations import (
     Band,
     StateErrors,
     StateEstimates,
+    at_the_end,
     chi2_band,
     deviations,
     errors,
@@ -83,18 +84,32 @@ class StateScore:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Scores of a track; anees: of all blocks that truth knows, jointly."""
+    """Scores of a track.
+
+    states: of all blocks and derived quantities over the pass; anees: of all blocks of the epochs
+    that truth knows, jointly; statics: of the static blocks, and of what is derived of them alone,
+    at the last epoch, which for a smoothed track is every epoch; statics_anees: of all static
+    blocks that truth knows, jointly.
+    """
 
     name: str
     kind: Kind
     states: Mapping[str, StateScore]
     anees: float | None = None
     freedoms: int = 0
+    statics: Mapping[str, StateScore] = field(default_factory=dict)
+    statics_anees: float | None = None
+    statics_freedoms: int = 0
 
     @property
     def anees_band(self) -> Band | None:
         """95 % band of one run."""
         return None if self.anees is None else chi2_band(self.freedoms)
+
+    @property
+    def statics_anees_band(self) -> Band | None:
+        """95 % band of one run."""
+        return None if self.statics_anees is None else chi2_band(self.statics_freedoms)
 
 
 def _number(value: Any) -> float | None:
@@ -167,13 +182,30 @@ def score_of(
     inside = _window(track.t, evaluate)
     found = {name: s.where(np.isin(s.t, track.t[inside])) for name, s in found.items()}
     found = {name: s for name, s in found.items() if len(s.t)}
-    scores = {
+    scores = _scores(states, found, inside)
+    anees = mean_nees(*joint(found.values(), track, track.layout))
+    if track.statics is None:
+        return Score(track.name, track.kind, scores, *anees)
+    constants = {name: state for name, state in states.items() if state.constant}
+    ends = at_the_end({name: s for name, s in found.items() if name in constants})
+    last = np.arange(len(track.t)) == np.flatnonzero(inside)[-1]
+    static = _scores(constants, ends, last)
+    of_statics = mean_nees(*joint(ends.values(), track, track.statics.layout))
+    return Score(track.name, track.kind, scores, *anees, static, *of_statics)
+
+
+def _scores(
+    states: Mapping[str, StateEstimates],
+    found: Mapping[str, StateErrors],
+    chosen: NDArray[np.bool_],
+) -> dict[str, StateScore]:
+    """Scores of states from their errors, of those without from sigma at epochs `chosen` (N,)."""
+    return {
         name: _state_score(found[name])
         if name in found
-        else StateScore(state.block.table_unit, _sigma(state.block, state.P[inside]))
+        else StateScore(state.block.table_unit, _sigma(state.block, state.P[chosen]))
         for name, state in states.items()
     }
-    return Score(track.name, track.kind, scores, *mean_nees(*joint(found.values(), track)))
 
 
 def improvement(a: Score, b: Score, state: str) -> float | None:
@@ -237,6 +269,19 @@ def _state_row(s: StateScore) -> dict[str, Any]:
     return {"unit": s.unit} | {name: getattr(s, name) for name in known}
 
 
+def _statics(s: Score) -> dict[str, Any]:
+    """Of the static blocks, at the last epoch; {} without any."""
+    if not s.statics:
+        return {}
+    left = ("rmse_last", "inside_3sigma")  # of one value: its error again, and hardly a fraction
+    rows = {n: _state_row(one) for n, one in s.statics.items()}
+    return {
+        "statics": {n: {k: v for k, v in r.items() if k not in left} for n, r in rows.items()},
+        "statics_anees": s.statics_anees,
+        "statics_anees_band": s.statics_anees_band,
+    }
+
+
 def _row(
     track: Track, s: Score, distance: float | None, cautions: Iterable[Caution]
 ) -> dict[str, Any]:
@@ -253,6 +298,7 @@ def _row(
         "rejected": {sensor: int(n) for sensor, n in track.rejected.items()},
         "downweighted": {sensor: int(n) for sensor, n in track.downweighted.items()},
         "states": {name: _state_row(state) for name, state in s.states.items()},
+        **_statics(s),
     }
 
 

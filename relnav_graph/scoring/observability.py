@@ -18,10 +18,11 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Derived, NamesDirections
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.track import Track
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scoring.bounds import Bounds, bounds
 from relnav_graph.scoring.deviations import estimates
-from relnav_graph.scoring.metrics import score_of
+from relnav_graph.scoring.metrics import StateScore, score_of
 from relnav_graph.units import convert
 
 __all__ = ["Direction", "explain", "named_directions"]
@@ -129,15 +130,22 @@ def _name(v: Array, inverse: Array, named: list[Direction], blocks: list[Directi
     return " + ".join(f"{size:.2f} {name}" for size, name in parts[:3])
 
 
+def _covariance_at(track: Track, k: int) -> Array:
+    """Joint covariance (n, n) of all blocks at an epoch."""
+    one = track.at(slice(k, k + 1))
+    P: Array = one.covariance(*(b.name for b in one.blocks))[0]
+    return P
+
+
 def _weak_directions(problem: Problem, bound: Bounds, x: Array) -> list[dict[str, Any]]:
-    """Directions of the first epoch's state in which the data hardly improve the prior, worst
-    first.
+    """Directions of the first epoch's state, static blocks included, in which the data hardly
+    improve the prior, worst first.
 
     Eigenvectors of W P_s W^T, where W^-1 W^-T is the prior's covariance and P_s the smoothed
     one; kept, the root of an eigenvalue, is the ratio of both sigmas and free of units.
     """
     inverse = np.linalg.inv(np.linalg.cholesky(problem.prior.P))
-    left, vectors = np.linalg.eigh(inverse @ bound.smoothed.P[0] @ inverse.T)
+    left, vectors = np.linalg.eigh(inverse @ _covariance_at(bound.smoothed, 0) @ inverse.T)
     named, blocks = named_directions(problem, x), _blocks_of(problem.layout)
     out = []
     for value, v in sorted(zip(left, vectors.T, strict=True), key=lambda pair: -pair[0]):
@@ -156,8 +164,8 @@ def _direction_rows(problem: Problem, bound: Bounds, x: Array) -> list[dict[str,
     information, middle = 1 / np.diag(problem.prior.P), len(x) // 2
     moments = {
         "prior": (0, problem.prior.P),
-        "filter_last": (-1, bound.filtered.P[-1]),
-        "smoother_middle": (middle, bound.smoothed.P[middle]),
+        "filter_last": (-1, _covariance_at(bound.filtered, len(x) - 1)),
+        "smoother_middle": (middle, _covariance_at(bound.smoothed, middle)),
     }
     rows: dict[str, dict[str, Any]] = {}
     for key, (k, P) in moments.items():
@@ -227,11 +235,19 @@ def _state_rows(
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None,
 ) -> Mapping[str, Any]:
-    """Predicted 1-sigma of every state over the scored part of the pass."""
-    filtered, smoothed = (
-        score_of(t, estimates(t, derived), {}, evaluate).states
-        for t in (bound.filtered, bound.smoothed)
+    """Predicted 1-sigma of every state over the scored part of the pass; where there are any, of
+    the static blocks at its last epoch."""
+    f, s = (
+        score_of(t, estimates(t, derived), {}, evaluate) for t in (bound.filtered, bound.smoothed)
     )
+    found = {"states": _sigmas_of(problem, f.states, s.states)}
+    return found | ({"statics": _sigmas_of(problem, f.statics, s.statics)} if f.statics else {})
+
+
+def _sigmas_of(
+    problem: Problem, filtered: Mapping[str, StateScore], smoothed: Mapping[str, StateScore]
+) -> dict[str, Any]:
+    """1-sigma of prior, filter and smoother, by state."""
     out = {}
     for name, state in filtered.items():
         prior = None
@@ -269,7 +285,7 @@ def explain(
         "epochs": len(x),
         "sensors": _sensor_rows(problem),
         "processes": _process_rows(problem, Q) if len(x) > 1 else [],
-        "states": _state_rows(problem, bound, derived, evaluate),
+        **_state_rows(problem, bound, derived, evaluate),
         "directions": _direction_rows(problem, bound, x),
         "weak": _weak_directions(problem, bound, x[0]),
     }

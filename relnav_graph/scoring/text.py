@@ -65,7 +65,7 @@ def table(summary: Mapping[str, Any]) -> str:
 
     First a row per estimator (status, run time in s, median step in ms, joint ANEES and
     its 95 % band, how many sigmas apart it is from batch or rts, rejected observations), with
-    messages and cautions, then a block per state in its unit.
+    messages and cautions, then a block per state in its unit, then the constants.
     """
     rows = summary["estimators"]
     title = f"{summary['scenario']}: {summary['epochs']} epochs"
@@ -76,16 +76,79 @@ def table(summary: Mapping[str, Any]) -> str:
     lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
     lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
     width = max(map(len, ["estimator", *rows]))  # the same columns in every block
-    units = {state: s["unit"] for row in rows.values() for state, s in row["states"].items()}
-    for state, unit in units.items():
+    for state, unit in _moving(rows).items():
         block = [
             _state(name, width, row["kind"], row["states"][state])
             for name, row in rows.items()
             if state in row["states"]
         ]
         header = "estimator |kind     |     rmse|rmse last|  1-sigma|   ANEES|inside 3-sigma"
-        lines += ["", state + ("" if unit == "1" else f" [{unit}]"), *_aligned(header, block)]
+        lines += ["", _with_unit(state, unit), *_aligned(header, block)]
+    lines += _constants(rows, "constants, as at the last epoch", ("error", "1-sigma"))
     return "\n".join(lines) + "\n"
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return name if unit == "1" else f"{name} [{unit}]"
+
+
+def _moving(rows: Mapping[str, Any]) -> dict[str, str]:
+    """Units by state, constants left out: they have a table of their own."""
+    return {
+        state: s["unit"]
+        for row in rows.values()
+        for state, s in row["states"].items()
+        if state not in row.get("statics", {})
+    }
+
+
+#: Columns of the table of constants: where the number stands, and its form.
+_CONSTANT = {
+    "error": ("rmse", ".4g"),
+    "rmse": ("rmse", ".4g"),
+    "1-sigma": ("sigma", ".4g"),
+    "bound": ("bound", ".4g"),
+    "rmse/bound": ("efficiency", ".3f"),
+}
+
+
+def _constant(columns: Sequence[str], values: Mapping[str, Any]) -> list[str]:
+    low, high = values["anees_band"] if values.get("anees_band") else (None, None)
+    return [
+        *(_text(values.get(key), form) for key, form in (_CONSTANT[c] for c in columns)),
+        _text(values.get("anees"), ".2f"),
+        "-" if low is None else f"{low:.2f}..{high:.2f}",
+    ]
+
+
+def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> list[str]:
+    """Lines of the table of static blocks, a row per block and estimator; [] without any.
+
+    columns: of `_CONSTANT`, before ANEES and its band.
+    """
+    having = {name: row for name, row in rows.items() if "statics" in row}
+    units = {n: one["unit"] for row in having.values() for n, one in row["statics"].items()}
+    parts = [
+        (
+            _with_unit(n, unit),
+            {r: row["statics"][n] for r, row in having.items() if n in row["statics"]},
+        )
+        for n, unit in units.items()
+    ]
+    if len(parts) > 1:
+        jointly = {
+            r: {"anees": row["statics_anees"], "anees_band": row["statics_anees_band"]}
+            for r, row in having.items()
+        }
+        parts.append(("all of them, jointly", jointly))
+    table = [
+        ["" if k else first, r, rows[r]["kind"], *_constant(columns, one)]
+        for first, values in parts
+        for k, (r, one) in enumerate(values.items())
+    ]
+    numbers = "|".join(f"{c:>9}" for c in (*columns, "ANEES"))
+    header = f"constant |estimator |kind     |{numbers}|95 % band"
+    return ["", title, *_aligned(header, table)] if table else []
 
 
 def _study_overview(name: str, row: Mapping[str, Any]) -> list[str]:
@@ -129,14 +192,15 @@ def study_table(summary: Mapping[str, Any]) -> str:
     lines = [f"{title}, seed {seed}", ""]
     lines += _aligned(header, [_study_overview(name, row) for name, row in rows.items()])
     width = max(map(len, ["estimator", *rows]))
-    units = {state: s["unit"] for row in rows.values() for state, s in row["states"].items()}
-    for state, unit in units.items():
+    for state, unit in _moving(rows).items():
         block = [
             _study_state(name, width, row["kind"], row["states"][state])
             for name, row in rows.items()
             if state in row["states"]
         ]
-        lines += ["", state + ("" if unit == "1" else f" [{unit}]"), *_aligned(_STUDY_STATE, block)]
+        lines += ["", _with_unit(state, unit), *_aligned(_STUDY_STATE, block)]
+    columns = ("rmse", "1-sigma", "bound", "rmse/bound")
+    lines += _constants(rows, "constants, as at the last epoch", columns)
     lines += ["", "Verdict", *(f"  {text}" for text in summary["verdict"]["text"])]
     for title, key in (("Failed runs", "failed"), ("Degraded runs", "degraded")):
         if summary[key]:
@@ -167,6 +231,13 @@ def _process_lines(p: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def _predicted(states: Mapping[str, Any]) -> list[list[str]]:
+    return [
+        [f"{name} [{s['unit']}]", *(_text(s[k]) for k in ("prior", "filter", "smoother"))]
+        for name, s in states.items()
+    ]
+
+
 def explain_table(found: Mapping[str, Any]) -> str:
     """The object of ``relnav explain --json`` as text."""
     lines = [f"{found['scenario']}: {found['epochs']} epochs", "", "Sensors"]
@@ -175,12 +246,13 @@ def explain_table(found: Mapping[str, Any]) -> str:
     lines += ["", "Processes: noise after discretisation, 1-sigma per axis"]
     for p in found["processes"]:
         lines += _process_lines(p)
-    states = [
-        [f"{name} [{s['unit']}]", *(_text(s[k]) for k in ("prior", "filter", "smoother"))]
-        for name, s in found["states"].items()
-    ]
+    moving = {n: s for n, s in found["states"].items() if n not in found.get("statics", {})}
+    states = _predicted(moving)
     lines += ["", "Predicted 1-sigma (norm over the axes, root mean square over the pass)"]
     lines += _aligned("state |    prior|   filter| smoother", states)
+    if "statics" in found:
+        lines += ["", "Predicted 1-sigma of constants (norm over the axes), as at the last epoch"]
+        lines += _aligned("constant |    prior|   filter| smoother", _predicted(found["statics"]))
     directions = [
         [
             f"{d['direction']} [{d['unit']}]",

@@ -74,7 +74,7 @@ class _Groups:
 
 
 def _groups(problem: Problem, assembly: Assembly) -> _Groups:
-    of_state, n = _process_groups(problem.processes, assembly), assembly.layout.dim
+    of_state, n = _process_groups(problem.processes, assembly), assembly.layout.moving.dim
     names = [f"sensors.{s}" for s in assembly.sensor_names]
     names += [PRIOR, *dict.fromkeys(of_state[i] for i in range(n))]
     of_process = np.array([names.index(of_state[i]) for i in range(n)])
@@ -82,12 +82,13 @@ def _groups(problem: Problem, assembly: Assembly) -> _Groups:
 
 
 def _residuals(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
-    """Whitened residuals of prior, process and measurements after the step d (N, n)."""
+    """Whitened residuals of prior, process and measurements after the step d (N, n + m), n of the
+    blocks that move, m of the static ones, the same in all rows."""
     q, m = rows.process, rows.measurements
-    at = np.repeat(np.arange(len(d)), np.diff(rows.offsets))
+    at, n = np.repeat(np.arange(len(d)), np.diff(rows.offsets)), rows.states
     return (
         rows.e + rows.A @ d[0],
-        q.e + np.einsum("kij,kj->ki", q.A, d[:-1]) + np.einsum("kij,kj->ki", q.B, d[1:]),
+        q.e + np.einsum("kij,kj->ki", q.A, d[:-1]) + np.einsum("kij,kj->ki", q.B, d[1:, :n]),
         m.r + np.einsum("rj,rj->r", m.H, d[at]),
     )
 
@@ -102,7 +103,7 @@ def _coupling(
     """
     q, m = rows.process, rows.measurements
     prior, process, measured = (rng.choice((-1.0, 1.0), a.shape) for a in (rows.e, q.e, m.r))
-    count, n = len(rows.offsets) - 1, len(rows.e)
+    count, n = len(rows.offsets) - 1, rows.states
     out = np.empty((len(groups.names), len(groups.names)))
     for j, name in enumerate(groups.names):
         probe = replace(
@@ -111,7 +112,7 @@ def _coupling(
             process=replace(q, e=process * (groups.of_process == j)),
             measurements=replace(m, r=measured * (used & (groups.of_measurement == j))),
         )
-        d = eliminate(chain_factors(probe), count, n).solution()
+        d = eliminate(chain_factors(probe), count, n, len(rows.e) - n).solution()
         out[:, j] = groups.sums(*(e**2 for e in _residuals(probe, d)))
     return out
 

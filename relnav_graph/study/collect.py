@@ -46,6 +46,7 @@ class RowRuns:
 
     Lists have one number per run, NaN where the run has none: own (of the row as a whole:
     "anees", "cost"), timing (by what was timed), state (by state and key, such as "rmse"),
+    static (of static blocks at the last epoch, by block and key; "" stands for all jointly),
     sensor (of innovations, by sensor and key), squares (of whitened residuals, by noise).
     Sums over runs, for means: series (states + 1, 3, bins), nis (sensors, bins), coupling
     (noises, noises). freedoms: degrees of freedom of one run, by state, and "joint"; bad:
@@ -60,6 +61,7 @@ class RowRuns:
     own: dict[str, list[float]] = field(default_factory=dict)
     timing: dict[str, list[float]] = field(default_factory=dict)
     state: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    static: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sensor: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     series: _Sum = field(default_factory=_Sum)
     nis: _Sum = field(default_factory=_Sum)
@@ -69,6 +71,15 @@ class RowRuns:
     def of(self, state: str, key: str) -> Array:
         """A number per run, (runs,)."""
         return np.array(self.state.get((state, key), []))
+
+    def of_static(self, block: str, key: str) -> Array:
+        """A number per run, (runs,), of a static block at the last epoch."""
+        return np.array(self.static.get((block, key), []))
+
+    @property
+    def statics(self) -> list[str]:
+        """Names of the static blocks."""
+        return list(dict.fromkeys(name for name, _ in self.static if name))
 
     def of_sensor(self, sensor: str, key: str) -> Array:
         """A number per run, (runs,)."""
@@ -122,6 +133,11 @@ def _add_row(row: RowRuns, scalars: Mapping[str, Any], run: int, before: int) ->
         for key, value in values.items():
             if key not in ("unit", "freedoms"):
                 _put(row.state, (name, key), value, before)
+    statics = scalars.get("statics", {})
+    for name, values in {**statics, "": scalars.get("statics_joint", {})}.items():
+        for key, value in values.items():
+            if key != "unit":
+                _put(row.static, (name, key), value, before)
     for sensor, values in scalars["innovations"].items():
         for key, value in values.items():
             _put(row.sensor, (sensor, key), value, before)
@@ -168,7 +184,7 @@ def _pad(found: Collected) -> None:
     """Fill every column up with NaN, so that all have one number per run."""
     tables: list[dict[Any, list[float]]] = [found.bound, found.own_bound, found.mcreynolds]
     for row in found.rows.values():
-        tables += [row.own, row.timing, row.state, row.sensor, row.squares]
+        tables += [row.own, row.timing, row.state, row.static, row.sensor, row.squares]
     for table in tables:
         for column in table.values():
             column += [np.nan] * (len(found.runs) - len(column))

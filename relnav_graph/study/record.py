@@ -32,7 +32,7 @@ from relnav_graph.scoring.deviations import (
     joint,
     nees,
 )
-from relnav_graph.scoring.metrics import Score, score_of, step_ms, with_smoothed
+from relnav_graph.scoring.metrics import Score, StateScore, score_of, step_ms, with_smoothed
 from relnav_graph.scoring.variance_components import noise_residuals
 from relnav_graph.study.stored import check_record
 
@@ -118,6 +118,20 @@ def _state_scalars(name: str, score: Score, settled: float | None) -> dict[str, 
     return {"unit": s.unit, "sigma": s.sigma, **values, "settled_s": settled}
 
 
+def _statics_scalars(score: Score, bound: Mapping[str, StateScore]) -> dict[str, Any]:
+    """Of the static blocks at the last epoch, bound: their bounds there; {} without any."""
+    if not score.statics:
+        return {}
+    keys = ("unit", "sigma", "rmse", "anees", "freedoms")
+    statics = {
+        name: {key: getattr(s, key) for key in keys}
+        | {"bound": bound[name].sigma if name in bound else None}
+        for name, s in score.statics.items()
+    }
+    joint_of = {"anees": score.statics_anees, "freedoms": score.statics_freedoms}
+    return {"statics": statics, "statics_joint": joint_of}
+
+
 def _innovation_scalars(i: Innovations) -> dict[str, float]:
     """Sums over a pass: NIS = sum_k v_k^T v_k, and the lag product sum_k v_k^T v_k-1 of
     whitened innovations v, over the residual rows that both epochs have."""
@@ -183,7 +197,7 @@ def _series(row: _Row, order: Sequence[str]) -> Array:
             value, rank = nees(s.e, s.P)
             out[k, 0] = _binned(at, (s.e**2).sum(axis=1), count)
             out[k, 1] = _binned(at, value / np.maximum(rank, 1), count)
-    e, P = joint(row.found.values(), row.track)
+    e, P = joint(row.found.values(), row.track, row.track.layout)
     if len(e) == count:
         value, rank = nees(e, P)
         out[-1, 1] = _binned(epochs, value / np.maximum(rank, 1), count)
@@ -200,7 +214,14 @@ def _nis_series(track: Track, order: Sequence[str]) -> Array:
     return out
 
 
-def _row_scalars(row: _Row, score: Score, bound: Mapping[str, StateEstimates]) -> dict[str, Any]:
+def _row_scalars(
+    row: _Row,
+    score: Score,
+    bound: Mapping[str, StateEstimates],
+    constants: Mapping[str, StateScore],
+) -> dict[str, Any]:
+    """bound: estimates whose covariances are the bounds; constants: scores of static blocks
+    whose sigmas are."""
     track = row.track
     settled = {
         name: _settled(row.found[name], bound.get(name)) if name in row.found else None
@@ -215,16 +236,18 @@ def _row_scalars(row: _Row, score: Score, bound: Mapping[str, StateEstimates]) -
         "freedoms": score.freedoms,
         "states": {n: _state_scalars(n, score, settled[n]) for n in score.states},
         "innovations": {n: _innovation_scalars(i) for n, i in track.innovations.items()},
+        **_statics_scalars(score, constants),
     }
 
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
     """Lower bounds of a pass: states (estimates whose covariance is the bound) and sigmas (over
-    the scored part) by kind and state, series by kind."""
+    the scored part) by kind and state, statics (at the last epoch) likewise, series by kind."""
 
     states: Mapping[str, Mapping[str, StateEstimates]]
     sigmas: Mapping[str, Mapping[str, float | None]]
+    statics: Mapping[str, Mapping[str, StateScore]]
     series: Mapping[str, Array]
 
 
@@ -235,14 +258,16 @@ def _limits(
     limit = bounds(problem, x)
     states: dict[str, Mapping[str, StateEstimates]] = {}
     sigmas: dict[str, Mapping[str, float | None]] = {}
+    statics: dict[str, Mapping[str, StateScore]] = {}
     series: dict[str, Array] = {}
     for track in (limit.filtered, limit.smoothed):
         states[track.kind] = estimates(track, derived)
         found = score_of(track, states[track.kind], {}, evaluate)
         sigmas[track.kind] = {n: s.sigma for n, s in found.states.items()}
+        statics[track.kind] = found.statics
         row = _Row(track, states[track.kind], {})
         series[track.kind] = _series(row, list(row.states))
-    return _Limits(states, sigmas, series)
+    return _Limits(states, sigmas, statics, series)
 
 
 def make_record(
@@ -280,7 +305,9 @@ def make_record(
             score = score_of(track, states, errors, evaluate)
             kind = "filtered" if track.kind == "filtered" else "smoothed"
             own = {} if limits is None else limits.states[kind]
-            scalars["rows"][name] = _row_scalars(row, score, own)
+            # A fixed-lag estimate lies between both bounds, and has none of its own.
+            constants = {} if limits is None else limits.statics.get(track.kind, {})
+            scalars["rows"][name] = _row_scalars(row, score, own, constants)
             if limits is not None and len(passes) > 1:
                 scalars["rows"][name]["bound"] = limits.sigmas.get(track.kind, {})
             scalars["timing"][name] = {"runtime_s": track.runtime_s, **step_ms(track.step_s)}
@@ -313,7 +340,7 @@ def _add_noise(
     rng: np.random.Generator | None,
 ) -> None:
     try:
-        found = noise_residuals(problem, track.x, rng)
+        found = noise_residuals(problem, track.states, rng)
     except RelnavError as error:
         scalars["noise"][name] = {"missing": str(error)}
         return

@@ -41,6 +41,28 @@ class _State:
 
 
 @dataclass(frozen=True)
+class _Static:
+    """Scores of a static block at the last epoch."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    unit: str
+    sigma: Number
+    rmse: Number
+    anees: Number
+    freedoms: Count
+    bound: Number
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """All static blocks jointly."""
+
+    anees: Number = None
+    freedoms: Count = 0
+
+
+@dataclass(frozen=True)
 class _Row:
     """A track of the run."""
 
@@ -53,6 +75,8 @@ class _Row:
     states: dict[str, _State]
     innovations: dict[str, Numbers]
     bound: Numbers = field(default_factory=dict)
+    statics: dict[str, _Static] = field(default_factory=dict)
+    statics_joint: _Joint = field(default_factory=_Joint)
 
 
 @dataclass(frozen=True)
@@ -117,6 +141,10 @@ def check_record(where: str, text: bytes, series: Mapping[str, Array]) -> dict[s
     for name, count in coupled.items():
         if name in series and series[name].shape != (count, count):
             raise InputError(f"{where}: damaged: {name}: found {series[name].shape}, of {count}")
+    for name, row in found.rows.items():
+        unknown = [block for block in row.statics if block not in row.states]
+        if unknown:
+            raise InputError(f"{where}: damaged: rows.{name}: statics: {unknown[0]!r} is no state")
     for name, size in _sizes(found).items():
         if name not in series:
             raise InputError(f"{where}: damaged: no series {name!r}")

@@ -62,8 +62,12 @@ def _interval(samples: Array) -> list[float] | None:
 def _rmse_intervals(rows: dict[str, RowRuns], seed: int) -> dict[tuple[str, str], Any]:
     """95 % interval of the RMSE over runs, by row and state; none for fewer than two runs."""
     keys = [(name, state) for name, row in rows.items() for state in row.units]
-    columns = {k: rows[k[0]].of(k[1], "rmse") ** 2 for k in keys}
-    columns = {k: v for k, v in columns.items() if np.isfinite(v).sum() > 1}
+    return _intervals({k: rows[k[0]].of(k[1], "rmse") ** 2 for k in keys}, seed)
+
+
+def _intervals(squares: dict[tuple[str, str], Array], seed: int) -> dict[tuple[str, str], Any]:
+    """95 % intervals of root mean squares over runs, from a column (runs,) for each."""
+    columns = {k: v for k, v in squares.items() if np.isfinite(v).sum() > 1}
     if not columns:
         return {}
     means = _bootstrap(np.column_stack(list(columns.values())), seed)
@@ -111,6 +115,34 @@ def _state(row: RowRuns, name: str, bound: Array, interval: Any) -> dict[str, An
     return out
 
 
+def _statics(name: str, row: RowRuns, seed: int) -> dict[str, Any]:
+    """Static blocks as at the last epoch of each run; {} without any."""
+    if not row.statics:
+        return {}
+    squares = {(name, block): row.of_static(block, "rmse") ** 2 for block in row.statics}
+    intervals, blocks = _intervals(squares, seed), {}
+    for block in row.statics:
+        rmse, bound = row.of_static(block, "rmse"), row.of_static(block, "bound")
+        total, limit = _root_mean_square(rmse), _root_mean_square(bound[np.isfinite(rmse)])
+        blocks[block] = {
+            "unit": row.units[block],
+            "rmse": _number(total),
+            "rmse_ci": intervals.get((name, block)),
+            "sigma": _number(_root_mean_square(row.of_static(block, "sigma"))),
+            "bound": _number(limit),
+            "efficiency": _number(total / limit) if limit > 0 else None,
+            **_anees_of(row, block, ""),
+        }
+    return {"statics": blocks, **_anees_of(row, "", "statics_")}
+
+
+def _anees_of(row: RowRuns, block: str, prefix: str) -> dict[str, Any]:
+    """ANEES over runs of a static block ("": of all jointly), and its band."""
+    anees, freedoms = row.of_static(block, "anees"), row.of_static(block, "freedoms")
+    band = _band(int(np.nanmax(freedoms, initial=0)), int(np.isfinite(anees).sum()))
+    return {f"{prefix}anees": _number(_mean(anees)), f"{prefix}anees_band": band}
+
+
 _INSIDE = ("inside_1sigma", "inside_2sigma", "inside_3sigma")
 
 
@@ -146,7 +178,9 @@ def _status(row: RowRuns, runs: int) -> tuple[str, str]:
     return "degraded" if counts["diverged"] < runs else "diverged", f"of {runs} runs {words}"
 
 
-def _row(name: str, found: Collected, intervals: dict[tuple[str, str], Any]) -> dict[str, Any]:
+def _row(
+    name: str, found: Collected, intervals: dict[tuple[str, str], Any], seed: int
+) -> dict[str, Any]:
     row = found.rows[name]
     status, message = _status(row, len(found.runs))
     anees = np.array(row.own.get("anees", []))
@@ -167,6 +201,7 @@ def _row(name: str, found: Collected, intervals: dict[tuple[str, str], Any]) -> 
         "anees_band": _band(row.freedoms.get("joint", 0), counted),
         "rejected": row.rejected,
         "states": {s: _state(row, s, bound[s], intervals.get((name, s))) for s in row.units},
+        **_statics(name, row, seed),
         "sensors": {s: _sensor(row, s) for s in dict.fromkeys(s for s, _ in row.sensor)},
     }
 
@@ -253,7 +288,7 @@ def summarize(spec: StudySpec, found: Collected, epochs: int, rerun: str) -> dic
         "failed": failed,
         "degraded": degraded,
         "versions": versions(),
-        "estimators": {name: _row(name, found, intervals) for name in found.rows},
+        "estimators": {name: _row(name, found, intervals, spec.seed) for name in found.rows},
         "paired": _paired(found.rows, spec.seed),
         "mcreynolds": _mcreynolds(found),
     }

@@ -24,7 +24,8 @@ from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.io import netcdf
 from relnav_graph.io.netcdf import Group, Variable, read_groups, write_groups
-from relnav_graph.io.results import read_results, write_csv, write_results
+from relnav_graph.io.results import read_results, write_results
+from relnav_graph.io.track_tables import write_csv
 from relnav_graph.report.contents import read_contents
 from relnav_graph.study.folder import StudyFolder
 from relnav_graph.study.record import RunRecord

@@ -106,6 +106,42 @@ def test_write_then_read_is_bit_exact(tmp_path: Path, tables: Literal["csv", "pa
     )
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1_1,2_1\n0.25,-0.5\n",
+        "t_s,1_1,2_1\n0.3,0.25,-0.5\n",
+        "t_s,1_1,2_1\n0,0.25,-0.5\n9,0.25,-0.5\n",
+    ],
+)
+def test_the_truth_of_a_constant_holds_at_all_epochs(tmp_path: Path, text: str) -> None:
+    folder = by_hand(tmp_path / "set", truth_inertia_parameters=text)
+    got = read_dataset(folder, SENSORS, INPUTS, BLOCKS, statics={"inertia_parameters"})
+    assert got.truth is not None
+    assert got.truth.at(got.times)[1].all()
+    np.testing.assert_array_equal(
+        got.truth.values["inertia_parameters"], np.tile([0.25, -0.5], (len(got.truth.t), 1))
+    )
+
+
+def test_the_truth_of_a_constant_that_moves_is_left_as_it_is(tmp_path: Path) -> None:
+    text = "t_s,1_1,2_1\n0,0.25,-0.5\n1,0.5,-0.5\n"
+    folder = by_hand(tmp_path / "set", truth_inertia_parameters=text)
+    got = read_dataset(folder, SENSORS, INPUTS, BLOCKS, statics={"inertia_parameters"})
+    assert got.truth is not None
+    assert got.truth.values["inertia_parameters"][:, 0].tolist() == [0.25, 0.5]
+
+
+def test_two_rows_without_times_are_refused(tmp_path: Path) -> None:
+    text = "1_1,2_1\n0.25,-0.5\n0.25,-0.5\n"
+    folder = by_hand(tmp_path / "set", truth_inertia_parameters=text)
+    for statics in ({"inertia_parameters"}, set[str]()):
+        with pytest.raises(
+            InputError, match=r"truth_inertia_parameters\.csv, line 1: no column 't_s'"
+        ):
+            read_dataset(folder, SENSORS, INPUTS, BLOCKS, statics=statics)
+
+
 def test_a_data_set_made_by_hand(tmp_path: Path) -> None:
     folder = by_hand(
         tmp_path,

@@ -15,7 +15,8 @@ from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.netcdf import Group, write_groups
-from relnav_graph.io.results import read_results, write_csv, write_results
+from relnav_graph.io.results import read_results, write_results
+from relnav_graph.io.track_tables import write_csv
 
 LAYOUT = Layout([RELATIVE_POSITION_T, RELATIVE_ATTITUDE, INERTIA])
 ATTRIBUTES = {"scenario": "starry_night", "title": "x_0 · π", "empty": ""}

@@ -23,6 +23,7 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.elimination import System, linearize
 from relnav_graph.linear.gtsam_chain import STATICS, Rows, chain_factors, chain_rows, eliminate
+from relnav_graph.linear.segments import Segmented
 from relnav_graph.scenario.build import load_scenario
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments"))
@@ -131,6 +132,35 @@ def test_border_equals_gtsams_elimination(mapping: Problem) -> None:
     ).optimize()
     other = np.array([np.concatenate([found.at(k), found.at(STATICS)]) for k in range(count)])
     assert np.abs((step - other) / sigma).max() < 1e-5
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_two_levels_equal_one(damped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Segments with the static blocks that they read, then their first epochs: the same step and
+    covariances, with a part of a segment at the end, and where data beyond the pass tell more."""
+    problem = _mapped(57, 40)
+    found, _ = _system(problem)
+    assert isinstance(found.conditionals, Segmented)
+    assembly, anchor, weight = Assembly.of(problem), anchor_of(problem.prior), found.status == 0
+    models = assembly, anchor, found.x, assembly.whitening(found.x[:-1])
+    n, count = problem.layout.dim, len(found.x)
+    damping = np.full((count, n), 3.0) if damped else None
+    two = linearize(*models, weight.astype(float), damping)
+    monkeypatch.setattr("relnav_graph.linear.elimination.MANY", n)
+    one = linearize(*models, weight.astype(float), damping)
+    assert not isinstance(one.conditionals, Segmented)
+    a, b = one.conditionals, two.conditionals
+    assert two.cost == pytest.approx(one.cost, rel=1e-12)
+    assert b.decrease() == pytest.approx(a.decrease(), rel=1e-9)
+    half = 0.25 * a.last_covariance()
+    for end, P_end in ((None, None), (np.full(n, 1e-3), half)):
+        P, Q = a.marginals(P_end), b.marginals(P_end)
+        sigma, fixed = sigmas(P.P), np.sqrt(np.diag(P.statics))
+        apart = a.solution(end) - b.solution(end)
+        assert np.abs(apart / np.hstack([sigma, np.tile(fixed, (count, 1))])).max() < 1e-8
+        assert np.abs((P.P - Q.P) / (sigma[:, :, None] * sigma[:, None, :])).max() < 1e-8
+        assert np.abs((P.cross - Q.cross) / (sigma[:, :, None] * fixed)).max() < 1e-8
+        assert np.abs((P.statics - Q.statics) / np.outer(fixed, fixed)).max() < 1e-8
 
 
 def test_what_is_known_at_an_epoch_is_what_a_shorter_pass_tells(mapping: Problem) -> None:

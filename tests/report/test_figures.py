@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from static_tracks import filtered, smoothed, truth_of_statics
 
 from relnav_graph.core.catalogue import GYRO_BIAS, INERTIA, RELATIVE_POSITION, TARGET_ATTITUDE
 from relnav_graph.core.state import Layout
@@ -185,3 +186,17 @@ def test_no_global_state_of_matplotlib_is_touched() -> None:
     assert dict(mpl.rcParams) == before
     code = "import sys, relnav_graph.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_constant_converges_to_the_smoothers_line() -> None:
+    figures = error_figures([filtered(), smoothed()], truth_of_statics(), [])
+    assert set(figures) == {"relative_position", "mounting", "lever_arm"}
+    titles = {n: f.axes[0].get_title(loc="left") for n, f in figures.items()}
+    assert "a constant" not in titles["relative_position"]
+    assert titles["mounting"].startswith("Mounting $R_{cs}$, a constant: error")
+    for ax in figures["lever_arm"].axes:
+        drawn = {line.get_color(): line for line in ax.lines if line.get_linewidth() in (0.8, 1.2)}
+        learning, known = (np.asarray(line.get_ydata()) for line in drawn.values())
+        assert np.ptp(known) == 0
+        assert abs(learning[0]) > 5 * abs(learning[-1]) > 0
+        assert learning[-1] == pytest.approx(known[-1])

@@ -1,0 +1,67 @@
+"""Tracks as CSV tables, for spreadsheets and programs that read nothing else."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.state import Block
+from relnav_graph.core.track import Track
+from relnav_graph.errors import InputError
+from relnav_graph.files import file_in
+from relnav_graph.io.atomic import atomic
+from relnav_graph.io.tabular import component_columns, tangent_columns, to_components, write_table
+
+__all__ = ["write_csv"]
+
+
+def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
+    """One table per track, and per smoothed track: time, components, sigmas; SI and rad.
+
+    Attitudes are quaternions, their sigmas rotation angles about the axes on the right of
+    the frame's letters. Static blocks have a table ``NAME_statics`` of their own: one row without
+    time where all epochs of the track say the same of them, as smoothers do. Raises InputError
+    when a file cannot be written, or would lie elsewhere, or when two would bear one name.
+    """
+    tables: dict[str, dict[str, Array]] = {}
+    for track in tracks:
+        _add(tables, track.name, track)
+        if track.smoothed is not None:
+            _add(tables, f"{track.name}_smoothed", track.smoothed)
+    files = {name: file_in(folder, f"{name}.csv") for name in tables}
+    for name, columns in tables.items():
+        with atomic(files[name]) as staged:
+            write_table(staged, columns)
+
+
+def _add(tables: dict[str, dict[str, Array]], name: str, track: Track) -> None:
+    """The tables of one track."""
+    found = {name: {"t_s": track.t, **_columns(track, track.layout)}}
+    if track.statics is not None:
+        own = _columns(track, track.statics.layout)
+        one = len(track.t) > 0 and all((c == c[0]).all() for c in own.values())
+        found[f"{name}_statics"] = (
+            {n: c[:1] for n, c in own.items()} if one else {"t_s": track.t, **own}
+        )
+    for key, columns in found.items():
+        if key in tables:
+            raise InputError(f"{key!r} cannot name a table: taken twice")
+        tables[key] = columns
+
+
+def _columns(track: Track, blocks: Iterable[Block]) -> dict[str, Array]:
+    """Components of blocks, and their sigmas, (N,) each."""
+    columns = {}
+    for block in blocks:
+        components = to_components(block, track.value(block.name))
+        variances = np.diagonal(track.covariance(block.name), axis1=1, axis2=2)
+        with np.errstate(invalid="ignore"):  # a diverged track: NaN says so
+            sigmas = np.sqrt(variances)
+        for name, values in zip(component_columns(block), components.T, strict=True):
+            columns[f"{block.name}_{name}"] = values
+        for name, values in zip(tangent_columns(block), sigmas.T, strict=True):
+            columns[f"sigma_{block.name}_{name}"] = values
+    return columns
