@@ -95,7 +95,9 @@ class PoseOdometry(PlacedSensor):
     the errors of r and of the turn independent. position_sigma: m, of where the centre was,
     attitude_sigma: rad, of the turn, about the present sensor axes; one for all or one each.
     sensor_attitude: R_cs; sensor_position: r_sc_c, m. pose: how the poses stand in the
-    state; keyframe: s, the earlier epoch of a loop closure, None: that of `PreviousPose`. Raises InputError when R_cs is not a rotation within 1e-6.
+    state; keyframe: s, the earlier epoch of a loop closure, None: that of `PreviousPose`.
+    largest_turn: rad, of a simulated front end, which recognises nothing after a larger one.
+    Raises InputError when R_cs is not a rotation within 1e-6.
     """
 
     kind: ClassVar[str] = "pose_odometry"
@@ -108,6 +110,7 @@ class PoseOdometry(PlacedSensor):
     scene_centre: Annotated[Array, Quantity("m", (3,))] = field(default_factory=lambda: np.zeros(3))
     pose: Pose = "orbital"
     keyframe: Annotated[float, Quantity("s")] | None = None
+    largest_turn: Annotated[float, Quantity("rad", positive=True)] = np.pi
 
     def copier(self) -> PoseCopy:
         """The sensor that copies the pose at the keyframe. Raises InputError without one."""
@@ -120,6 +123,12 @@ class PoseOdometry(PlacedSensor):
 
     def constants(self) -> Array:
         return np.concatenate([super().constants(), self.scene_centre])
+
+    def in_view(self, ids: Indices, *x: Array) -> Indices:
+        """All, unless the sensor has turned too far since the earlier epoch."""
+        packed = np.concatenate([np.ravel(value) for value in x])
+        turn = so3.log(pose_between(self.constants(), packed)[0])
+        return ids if dense.norm(turn) <= self.largest_turn else ids[:0]
 
     def accept(self, z: Array) -> Array:
         """r (m) and unit quaternions, (k, 7).

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.ekf import FilterSweep
@@ -45,12 +45,14 @@ MEAN = 8
 class Monitor:
     """Running averages by sensor; immutable: `after` gives the next one.
 
-    table (sensors, 8 + rows): see the columns above; the mean comes last.
+    table (sensors, 8 + rows): see the columns above; the mean comes last. copiers: sensors that
+    measure nothing, so that nothing is lost when they are silent.
     """
 
     names: tuple[str, ...]
     rows: tuple[int, ...]
     table: Array
+    copiers: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, sensors: Mapping[str, Sensor], table: Array | None = None) -> Monitor:
@@ -59,7 +61,8 @@ class Monitor:
         if table is None:
             table = np.zeros((len(rows), MEAN + max(rows, default=0)))
             table[:, [LAST, PERIOD]] = np.nan
-        return cls(tuple(sensors), rows, table)
+        copiers = frozenset(n for n, s in sensors.items() if isinstance(s, CopiesBlocks))
+        return cls(tuple(sensors), rows, table, copiers)
 
     def after(self, t: float, done: FilterSweep) -> Monitor:
         """With what a filter made of one epoch."""
@@ -69,7 +72,8 @@ class Monitor:
             if not own.any():
                 continue
             weights, row = done.weights[own], table[i]
-            _seen_at(row, t)
+            if name not in self.copiers:
+                _seen_at(row, t)
             row[REJECTED] += (weights == 0).sum()
             row[DOWNWEIGHTED] += ((weights > 0) & (weights < 1)).sum()
             row[OUT] += WEIGHT * ((weights == 0).mean() - row[OUT])
