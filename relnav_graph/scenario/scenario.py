@@ -12,7 +12,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution, orbit_cautions
 from relnav_graph.core.contracts import CopiesBlocks, Dynamics, Mountable, Sensor
-from relnav_graph.core.copies import closure_of, with_true_copies
+from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
 from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.measurement import SAME_TIME, Bridge
 from relnav_graph.core.problem import Prior, Problem
@@ -190,9 +190,9 @@ class Scenario:
     def problem(self, recording: Recording, seed: int, run: int = 0) -> Problem:
         """The problem of a recording, with the scenario's prior.
 
-        Raises InputError when the prior asks for a truth that is not known, or when the
-        first measurements fit it in another unit only; EstimationError when it is to be
-        measured and cannot be.
+        Raises InputError when the prior asks for a truth that is not known, when there is no epoch
+        to close a loop to, or when the first measurements fit it in another unit only;
+        EstimationError when it is to be measured and cannot be.
         """
         check_step(recording.times, self.file.time.step)
         bridges = self.bridges
@@ -205,6 +205,9 @@ class Scenario:
             self.file.time.tolerance,
         )
         problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
+        made = {m.sensor: 1 for e in problem.epochs for m in e.measurements}
+        for epoch in problem.epochs if copiers(self.sensors) else ():
+            check_copied(epoch, self.sensors, made)
         if self.measured:
             problem = replace(problem, prior=initialise(problem, self.measured))
         prior = problem.prior

@@ -100,6 +100,18 @@ def test_online_a_closure_without_a_copy_is_refused_and_nothing_changes(kind: st
     assert engine.step(Epoch(12.0, (), inputs)).t == 12.0
 
 
+def test_the_silence_of_closures_is_no_alarm_and_keeps_no_estimate_alive() -> None:
+    problem = looped_problem(((0.0, 2.0), (0.0, 4.0), (0.0, 6.0)))
+    engine = online("ekf", replace(problem, epochs=()))
+    for epoch in problem.epochs[:10]:
+        engine.step(epoch)
+    status, message = engine.health(30.0)
+    assert status == "DEGRADED"
+    assert "fix: silent" in message
+    assert "loop.0: silent" not in message
+    assert engine.health(9.0 + 60.0)[0] == "LOST"
+
+
 def test_pairs_share_the_copy_of_a_keyframe() -> None:
     problem = looped_problem()
     changes = [s for s in problem.sensors.values() if type(s) is PositionChange]

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import CopiesBlocks, Sensor
+from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.ekf import FilterSweep
@@ -45,14 +45,14 @@ MEAN = 8
 class Monitor:
     """Running averages by sensor; immutable: `after` gives the next one.
 
-    table (sensors, 8 + rows): see the columns above; the mean comes last. copiers: sensors that
-    measure nothing, so that nothing is lost when they are silent.
+    table (sensors, 8 + rows): see the columns above; the mean comes last. rare: sensors of
+    loop closures, whose silence tells nothing.
     """
 
     names: tuple[str, ...]
     rows: tuple[int, ...]
     table: Array
-    copiers: frozenset[str] = frozenset()
+    rare: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, sensors: Mapping[str, Sensor], table: Array | None = None) -> Monitor:
@@ -61,8 +61,8 @@ class Monitor:
         if table is None:
             table = np.zeros((len(rows), MEAN + max(rows, default=0)))
             table[:, [LAST, PERIOD]] = np.nan
-        copiers = frozenset(n for n, s in sensors.items() if isinstance(s, CopiesBlocks))
-        return cls(tuple(sensors), rows, table, copiers)
+        rare = frozenset(n for n, s in sensors.items() if getattr(s, "keyframe", None) is not None)
+        return cls(tuple(sensors), rows, table, rare)
 
     def after(self, t: float, done: FilterSweep) -> Monitor:
         """With what a filter made of one epoch."""
@@ -72,7 +72,7 @@ class Monitor:
             if not own.any():
                 continue
             weights, row = done.weights[own], table[i]
-            if name not in self.copiers:
+            if name not in self.rare:
                 _seen_at(row, t)
             row[REJECTED] += (weights == 0).sum()
             row[DOWNWEIGHTED] += ((weights > 0) & (weights < 1)).sum()
