@@ -45,6 +45,8 @@ def measure_batch(problem: Any, lengths: tuple[int, ...], lm: int, quick: bool) 
         )
     over_ekf = batch.over_ekf(passes[0])
     say(f"batch, {lengths[0]} epochs, all covariances: {over_ekf:.1f} times our EKF's pass")
+    own_rows = batch.over_own_rows(passes[0])
+    say(f"batch, {lengths[0]} epochs: GTSAM eliminates our rows in {own_rows:.1f} times our time")
     del passes
     faster: dict[str, float | None] = dict.fromkeys(
         ("gtsam_lm", "scipy_least_squares", "pyceres", "filterpy_rts")
@@ -66,6 +68,7 @@ def measure_batch(problem: Any, lengths: tuple[int, ...], lm: int, quick: bool) 
         "floor_ratio": float(floor[len(lengths) // 2]),
         "flatness": float(longer.max() / longer.min()),
         "over_ekf": over_ekf,
+        "gtsam_own_rows": own_rows,
         "faster_than": faster,
         "million_epochs_gib": None if quick else start.million_epochs(),
     }
@@ -91,6 +94,16 @@ def measure_fixed_lag(problem: Any) -> tuple[dict[str, float], Any]:
     rows = {"growth": growth, "p99_over_median": online.tail(took)}
     say(f"fixed_lag, {len(took)} epochs: {1e3 * np.median(took):.2f} ms per step; {rows}")
     return rows, took
+
+
+def measure_online(problem: Any) -> dict[str, dict[str, float]]:
+    """What each online estimator costs, and how far it ends from batch, in one table."""
+    found = online.side_by_side(pass_of(problem))
+    say(f"online, {len(problem.epochs)} epochs:  first tenth, last tenth, longest, ms; whole, s;")
+    say("  sigmas from batch at the last epoch")
+    for name, row in found.items():
+        say(f"  {name:18}" + "".join(f"{value:11.3g}" for value in row.values()))
+    return found
 
 
 def draw(path: Path, per_epoch: dict[int, float], steps: dict[str, Any]) -> None:
@@ -121,6 +134,7 @@ def main(
     lm: int = 2_000,
     steps: int = 20_000,
     naive: int = 2_000,
+    side: int = 1_000,
     cold: bool = True,
 ) -> dict[str, Any]:
     """All rows; the sizes are those of the published figures unless given."""
@@ -129,6 +143,7 @@ def main(
         problem = problem_of(max(*lengths, steps, lm, naive + 20))
         rows, per_epoch = measure_batch(problem, lengths, lm, quick)
         incremental, took = measure_incremental(problem, steps, naive)
+        table = measure_online(first(problem, side))
         fixed_lag: dict[str, Any] = {"growth": None, "p99_over_median": None}
         each = {"incremental": took}
         if not quick:
@@ -142,6 +157,7 @@ def main(
         "batch": rows,
         "incremental": incremental,
         "fixed_lag": fixed_lag,
+        "online": table,
         "start": {"help_s": start.help_time(), "first_compile_s": first_compile},
     }
 

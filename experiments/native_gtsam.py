@@ -17,10 +17,18 @@ velocity, and the target's attitude.
     [prior]-t0  p0--[orbit]--p1 t0 --[orbit]-- p2 t0      process_factor: ours, on p, v, p', v'
                 v0 /        v1 /              v2
 
+QR is chosen because GTSAM's default factorisation, Cholesky, rejects ordinary ratios of process to
+state noise. `ISAM2` then throws; `LevenbergMarquardtOptimizer` gives back what it began with after
+0 iterations, without an error. `why_qr` shows it, and that the package makes the whole graph of a
+problem by itself (`relnav_graph.to_gtsam`), or puts your factors into its own estimator:
+``run_estimator("isam2", problem, extra=Extra(factors, values))``.
+
 Run it: ``python experiments/native_gtsam.py``
 """
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -43,6 +51,8 @@ from relnav_graph.linear.gtsam_factors import (
 )
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.orbit import KeplerOrbit
+from relnav_graph.runs.graph import to_gtsam
+from relnav_graph.scenario.build import load_scenario
 
 EPOCHS, STEP = 20, 10.0
 
@@ -132,5 +142,24 @@ def main() -> dict[str, float]:
     return errors
 
 
+def why_qr(epochs: int = 40) -> dict[str, tuple[int, float]]:
+    """Iterations, and error left, of GTSAM's optimiser by linear solver, on one graph."""
+    scenario = load_scenario(
+        Path(__file__).with_name("zhang2015_close.toml"), [f"time.epochs={epochs}"]
+    )
+    graph = to_gtsam(scenario.problem(scenario.simulate(0), 0))
+    found = {}
+    for solver in ("MULTIFRONTAL_CHOLESKY", "MULTIFRONTAL_QR"):
+        params = gtsam.LevenbergMarquardtParams()  # Cholesky is its default
+        params.setLinearSolverType(solver)
+        params.setMaxIterations(8)
+        optimizer = gtsam.LevenbergMarquardtOptimizer(graph.factors, graph.values, params)
+        optimizer.optimize()
+        found[solver] = (optimizer.iterations(), optimizer.error())
+        print(f"{solver}: {found[solver][0]} iterations, error {found[solver][1]:.6g}")
+    return found
+
+
 if __name__ == "__main__":
     main()
+    why_qr()

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from relnav_graph.estimators import run_estimator
     from relnav_graph.estimators.online.driver import online
     from relnav_graph.runs.comparison import Comparison, compare
+    from relnav_graph.runs.graph import to_gtsam, to_track
     from relnav_graph.scenario.build import load_scenario
     from relnav_graph.scenario.scenario import Scenario
 
@@ -57,6 +58,8 @@ __all__ = [
     "make_epochs",
     "online",
     "run_estimator",
+    "to_gtsam",
+    "to_track",
 ]
 
 #: Where each of them lives: loaded when first asked for, so that the import itself costs nothing.
@@ -75,6 +78,8 @@ _HOMES = {
     "make_epochs": "core.epochs",
     "online": "estimators.online.driver",
     "run_estimator": "estimators",
+    "to_gtsam": "runs.graph",
+    "to_track": "runs.graph",
 }
 
 

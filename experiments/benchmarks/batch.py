@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -13,10 +12,11 @@ from relnav_graph.arrays import Array
 from relnav_graph.estimators.batch import Batch
 from relnav_graph.estimators.ekf import run_filter
 from relnav_graph.estimators.gauss_newton import solve
-from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.elimination import linearize
+from relnav_graph.linear.gtsam_chain import chain_factors, chain_rows, eliminate
+from relnav_graph.linear.gtsam_graph import graph_of
 
 from .passes import SAME, Pass, ratio, seconds
 
@@ -79,86 +79,34 @@ def solve_ours(p: Pass, x: Array) -> Array:
     return found.x
 
 
-def key_of(p: Pass, k: int, i: int) -> int:
-    """GTSAM's key of block i at epoch k."""
-    return int(gtsam.symbol("abcdefghijkl"[i], k))
+def over_own_rows(p: Pass) -> float:
+    """GTSAM's elimination of our rows, one variable per epoch, by QR in order of time, in units of
+    ours. GTSAM's time is that of its factors and of the elimination; ours has the models too."""
+    anchor, n = anchor_of(p.problem.prior), p.assembly.layout.dim
+    whiten, count = p.assembly.whitening(p.start[:-1]), len(p.start)
+    rows = chain_rows(p.assembly, anchor, p.start, whiten, p.weights)
+    into = linearize(p.assembly, anchor, p.start, whiten, p.weights).conditionals
 
+    def ours() -> object:
+        return linearize(p.assembly, anchor, p.start, whiten, p.weights, into=into)
 
-def typed_factors(p: Pass, k: int, apart: bool = False) -> gtsam.NonlinearFactorGraph:
-    """Our factors of epoch k, and of the interval that leads to it, over GTSAM's own
-    variables, one for each block. apart: one factor for each beacon."""
-    q, out = p.problem, gtsam.NonlinearFactorGraph()
-    place = {b.name: i for i, b in enumerate(q.layout)}
-    seen = list(q.epochs[k].measurements)
-    if apart:
-        seen = [replace(m, ids=m.ids[[i]], z=m.z[[i]]) for m in seen for i in range(len(m.z))]
-    for m in seen:
-        sensor = q.sensors[m.sensor]
-        keys = [key_of(p, k, place[b.name]) for b in sensor.reads]
-        out.add(gtsam_factors.measurement_factor(sensor, m, keys))
-    if k == 0:
-        for i, block in enumerate(q.layout):
-            rows, value = q.layout.tangent(block.name), q.layout.value(q.prior.x, block.name)
-            model = gtsam.noiseModel.Gaussian.Covariance(q.prior.P[rows, rows])
-            key = key_of(p, 0, i)
-            if block.manifold == "SO3":
-                out.add(gtsam.PriorFactorRot3(key, gtsam.Rot3(value), model))
-            else:
-                out.add(gtsam.PriorFactorVector(key, value, model))
-        return out
-    for name, process in q.processes.items():
-        blocks = process.advances + process.reads
-        out.add(
-            gtsam_factors.process_factor(
-                *(process, q.epochs[k - 1].t, q.epochs[k].inputs[name]),
-                [key_of(p, k - 1, place[b.name]) for b in blocks],
-                [key_of(p, k, place[b.name]) for b in process.advances],
-                [q.layout.value(p.start[k - 1], b.name) for b in blocks],
-            )
-        )
-    return out
-
-
-def typed_values(p: Pass, x: Array, first: int = 0) -> gtsam.Values:
-    """The trajectory x (N, size), from epoch `first` on, as GTSAM's values."""
-    values = gtsam.Values()
-    for k in range(len(x)):
-        for i, block in enumerate(p.assembly.layout):
-            value = p.assembly.layout.value(x[k], block.name)
-            gtsam_factors.insert_block(values, key_of(p, first + k, i), block, value)
-    return values
-
-
-def trajectory(p: Pass, values: gtsam.Values) -> Array:
-    """The inverse of :func:`typed_values`."""
-    layout = p.assembly.layout
-    out = np.empty_like(p.start)
-    for k in range(len(out)):
-        for i, block in enumerate(layout):
-            value = gtsam_factors.read_block(values, key_of(p, k, i), block)
-            out[k, layout.stored(block.name)] = value.reshape(-1)
-    return out
+    return ratio(ours, lambda: eliminate(chain_factors(rows), count, n))
 
 
 def faster_than_gtsam(p: Pass) -> float | None:
     """GTSAM's LevenbergMarquardtOptimizer on the same factors; None when it does not come
     to the same optimum. GTSAM's time is for the state alone, ours for the covariances too."""
-    factors = gtsam.NonlinearFactorGraph()
-    for k in range(len(p.start)):
-        factors.push_back(typed_factors(p, k))
-    ordering = gtsam.Ordering()
-    for k in range(len(p.start)):
-        for i in range(len(p.assembly.layout)):
-            ordering.push_back(key_of(p, k, i))
+    graph = graph_of(p.problem, p.start)
+    x, took, far = start_of(p), 0.0, np.inf
+    values = graph.keys.values(x)
     params = gtsam.LevenbergMarquardtParams()
     params.setLinearSolverType("SEQUENTIAL_QR")
-    params.setOrdering(ordering)
+    params.setOrdering(graph.keys.in_time(values))
     params.setlambdaInitial(0.0)  # we start in the quadratic region: so may GTSAM
-    x, took, far = start_of(p), 0.0, np.inf
-    optimizer = gtsam.LevenbergMarquardtOptimizer(factors, typed_values(p, x), params)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph.factors, values, params)
     for _ in range(3):
         took += seconds(optimizer.iterate)
-        far = p.distance(trajectory(p, optimizer.values()))
+        far = p.distance(graph.keys.trajectory(optimizer.values(), len(x)))
         if far < SAME:
             break
     ours = min(seconds(lambda: solve_ours(p, x)) for _ in range(5))

@@ -1,4 +1,4 @@
-"""iSAM2 epoch by epoch: growth, accuracy, and the graph as most people write it."""
+"""Online estimators epoch by epoch: growth, accuracy, and the graph as most people write it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
+from relnav_graph.estimators.ekf import filter_problem
 from relnav_graph.estimators.incremental import IncrementalSmoother
+from relnav_graph.estimators.isam2 import Isam2
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.gtsam_graph import Keys, PassFactors
 
-from .batch import key_of, typed_factors, typed_values
 from .passes import Pass, seconds
 
 #: One step of an estimator, which gives the newest estimate (size,); k: the epoch.
@@ -39,6 +41,73 @@ def fixed_lag(problem: Problem) -> Step:
         return one.x
 
     return step
+
+
+def isam2(problem: Problem) -> Step:
+    """`isam2` over the epochs of a problem."""
+    engine, assembly = Isam2().engine(problem), Assembly.of(problem)
+    state = [engine.begin()]
+
+    def step(k: int) -> Array:
+        state[0] = engine.advance(state[0], problem.epochs[k], assembly.at(k))
+        return state[0].x
+
+    return step
+
+
+def thresholds(problem: Problem) -> Step:
+    """GTSAM's iSAM2 over the same factors as its examples have it: its own thresholds, relinearised
+    every tenth step, no reference held; QR, since the default factorisation throws. New values are
+    the iterated filter's, as for `isam2`."""
+    params = gtsam.ISAM2Params()
+    params.setFactorization("QR")
+    isam, keys = gtsam.ISAM2(params), Keys(problem.layout)
+    make, layout, done = PassFactors(problem, keys), problem.layout, filter_problem(problem, 20)
+    whiten = done.assembly.whitening(done.x[:-1])
+
+    def step(k: int) -> Array:
+        factors, values, epoch = gtsam.NonlinearFactorGraph(), gtsam.Values(), problem.epochs[k]
+        new = make.measurements(k, epoch, np.ones(sum(len(m.z) for m in epoch.measurements)), {})
+        new += (
+            make.interval(k, epoch, problem.epochs[k - 1].t, whiten[k - 1]) if k else make.prior()
+        )
+        for factor in new:
+            factors.push_back(factor)
+        keys.insert(values, k, layout, done.x[k])
+        isam.update(factors, values)
+        return keys.read(isam.calculateEstimate(), k)
+
+    return step
+
+
+#: The estimators of `side_by_side`.
+ONLINE: dict[str, Callable[[Problem], Step]] = {
+    "iSAM2, thresholds": thresholds,
+    "isam2": isam2,
+    "incremental": incremental,
+    "fixed_lag": fixed_lag,
+}
+
+
+def side_by_side(p: Pass) -> dict[str, dict[str, float]]:
+    """By estimator: median step of the first and of the last tenth, and the longest, ms; the whole,
+    s; the last epoch's estimate from batch's, largest component in sigmas."""
+    out, count = {}, len(p.problem.epochs)
+    for name, estimator in ONLINE.items():
+        step, took = estimator(p.problem), list[float]()
+        for k in range(count):
+            begun = time.perf_counter()
+            x = step(k)
+            took.append(time.perf_counter() - begun)
+        tenth = max(count // 10, 1)
+        out[name] = {
+            "first_ms": 1e3 * float(np.median(took[:tenth])),
+            "last_ms": 1e3 * float(np.median(took[-tenth:])),
+            "longest_ms": 1e3 * max(took),
+            "whole_s": sum(took),
+            "sigma_from_batch": sigma_from_batch(p, x),
+        }
+    return out
 
 
 def run(estimator: Callable[[Problem], Step], problem: Problem) -> tuple[Array, float, Array]:
@@ -82,6 +151,18 @@ def sigma_from_batch(p: Pass, last: Array) -> float:
     return float(np.abs(d / p.sigma[-1]).max())
 
 
+def naive_factors(p: Pass, make: PassFactors, k: int, whiten: Array) -> list[gtsam.CustomFactor]:
+    """Our factors of epoch k, one for each beacon, and of the interval that leads to it."""
+    q = p.problem
+    epoch = q.epochs[k]
+    apart = [
+        replace(m, ids=m.ids[[i]], z=m.z[[i]]) for m in epoch.measurements for i in range(len(m.z))
+    ]
+    split = replace(epoch, measurements=tuple(apart))
+    out = make.measurements(k, split, np.ones(len(apart)), {})
+    return out + (make.interval(k, epoch, q.epochs[k - 1].t, whiten[k - 1]) if k else make.prior())
+
+
 def faster_than_naive(p: Pass, epoch: int, steps: int = 20) -> float:
     """Step of GTSAM's iSAM2 from an epoch on, as its examples are written, in units of ours,
     medians: one variable per block, one factor per beacon, default parameters but QR (the
@@ -92,17 +173,20 @@ def faster_than_naive(p: Pass, epoch: int, steps: int = 20) -> float:
     """
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
-    isam, ours = gtsam.ISAM2(params), incremental(p.problem)
+    isam, ours, keys = gtsam.ISAM2(params), incremental(p.problem), Keys(p.problem.layout)
+    make, layout = PassFactors(p.problem, keys), p.problem.layout
+    whiten = p.assembly.whitening(p.start[:-1])
     edges, took = [*range(0, epoch, 100), *range(epoch, epoch + steps + 1)], list[float]()
     for begin, end in pairwise(edges):
-        factors = gtsam.NonlinearFactorGraph()
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for k in range(begin, end):
-            factors.push_back(typed_factors(p, k, apart=True))
-        values = typed_values(p, p.start[begin:end], begin)
+            for factor in naive_factors(p, make, k, whiten):
+                factors.push_back(factor)
+            keys.insert(values, k, layout, p.start[k])
         begun = time.perf_counter()
         isam.update(factors, values)
-        for j, block in enumerate(p.assembly.layout):
-            key = key_of(p, end - 1, j)
+        for block in layout:
+            key = keys[block.name, end - 1]
             if block.manifold == "SO3":
                 isam.calculateEstimateRot3(key)
             else:

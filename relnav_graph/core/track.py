@@ -83,7 +83,8 @@ class Track:
     innovations: of a filter, by sensor; truth: of the pass, where the estimator flew one of
     its own; controlled: the errors of control there, whose aim is zero; cautions: what leaves
     the status as it is, and must be known all the same; statics: of the blocks that do not move,
-    where there are any.
+    where there are any; extra: value and covariance (d, d) of each variable that is of no block,
+    by its GTSAM key, where a user has put some into the graph.
     """
 
     name: str
@@ -104,6 +105,7 @@ class Track:
     controlled: tuple[Block, ...] = ()
     cautions: tuple[Caution, ...] = ()
     statics: Statics | None = None
+    extra: Mapping[int, tuple[Any, Array]] = field(default_factory=dict)
 
     @property
     def blocks(self) -> tuple[Block, ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -56,18 +57,24 @@ def find_estimator(kind: str) -> type[Estimator]:
     return cls
 
 
-def run_estimator(kind: str, problem: Problem) -> Track:
+def run_estimator(kind: str, problem: Problem, extra: Any = None) -> Track:
     """Run an estimator of a kind, or of ``"module:Class"``, on one thread.
 
-    Threads only slow the small matrices of an epoch down. Raises ModelError on an unknown
-    kind, InputError on a problem without epochs, EstimationError when no estimate is possible.
+    extra: native factors and variables of a graph (`relnav_graph.estimators.isam2.Extra`), for an
+    estimator that has a graph to put them in. Threads only slow the small matrices of an epoch
+    down. Raises ModelError on an unknown kind, InputError on a problem without epochs, and on
+    `extra` where it does not fit or the estimator cannot take it, EstimationError when no estimate
+    is possible.
     """
     if not problem.epochs:
         raise InputError("epochs: found none, expected one or more")
-    estimator = find_estimator(kind)()
+    estimator: Any = find_estimator(kind)()
+    more = {} if extra is None else {"extra": extra}
+    if more and "extra" not in inspect.signature(estimator.run).parameters:
+        raise InputError(f"estimator {kind!r} takes no extra factors; isam2 does")
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
-        track = estimator.run(problem)
+        track: Track = estimator.run(problem, **more)
     return track if track.status != "ok" else _cautious(track, problem)
 
 

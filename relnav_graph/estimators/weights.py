@@ -3,12 +3,13 @@ filter and smoothers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.problem import Problem
 from relnav_graph.linear.assembly import Assembly, MeasurementRows
 from relnav_graph.linear.tables import ROWS
 from relnav_graph.maths.losses import Loss, root_weights
@@ -19,8 +20,12 @@ __all__ = [
     "losses_of",
     "lost",
     "residual_weights",
+    "reweighted",
     "thresholds",
 ]
+
+#: Rounds of reweighting, at most, and the change of a weight's root that ends them.
+ROUNDS, SETTLED = 50, 1e-3
 
 
 def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:
@@ -90,3 +95,39 @@ def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:
     weights: (observations,), square roots, as of `residual_weights`.
     """
     return assembly.by_sensor(weights == 0)
+
+
+def reweighted(
+    problem: Problem,
+    assembly: Assembly,
+    x: Array,
+    weights: Array,
+    solve: Callable[[Array, Array], Array],
+    rounds: int = ROUNDS,
+) -> tuple[Array, Array]:
+    """A trajectory x (N, size) and weights (observations,), square roots, that give each other:
+    those of the problem's gates and losses.
+
+    x, weights: to begin with; solve: the trajectory of some weights, from one to begin with. A
+    loss that redescends, or a gate once something was left out, has many minima: it is preceded by
+    Huber's loss, which has one. rounds: at most, of each.
+    """
+    x = solve(x, weights)
+    losses, gates = problem.losses, problem.gates
+    doubtful = {name for name, loss in losses.items() if loss.redescends}
+    everything = np.ones(assembly.observations)
+    if (weights == 0).any() or (
+        residual_weights(assembly, assembly.measure(x, everything), gates, losses) == 0
+    ).any():
+        doubtful |= set(gates)
+    convex = {**losses, **dict.fromkeys(doubtful, Loss("huber"))}
+    kept = {name: gate for name, gate in gates.items() if name not in doubtful}
+    stages = [(kept, convex, 0.05)] if doubtful else []
+    for some, how, settled in [*stages, (gates, losses, SETTLED)]:
+        for _ in range(rounds):
+            new = residual_weights(assembly, assembly.measure(x, everything), some, how)
+            if np.abs(new - weights).max(initial=0.0) <= settled:
+                break
+            weights = new
+            x = solve(x, weights)
+    return x, weights

@@ -1,7 +1,7 @@
 """A journal of a stream: all lines received, so that a killed run resumes with the same result.
 
 A folder of segments ``00000000.journal``, ``00000001.journal``, ...; only the last one is
-written to, and only at its end. A segment is the line ``relnav-journal 2``, then records::
+written to, and only at its end. A segment is the line ``relnav-journal 3``, then records::
 
     type (1 byte)  length (4, little-endian)  CRC-32 of type and content (4)
     CRC-32 of these nine bytes (4)  content
@@ -44,7 +44,12 @@ __all__ = ["Journal", "JournalError", "JournalRecord", "Policy", "read_segment"]
 Policy = Literal["always", "interval", "never"]
 #: Type and content.
 JournalRecord = tuple[bytes, bytes]
-_MAGIC, _VERSION = b"relnav-journal ", 2
+_MAGIC, _VERSION = b"relnav-journal ", 3
+#: What to do about journals of earlier versions.
+_OLDER = {
+    b"2": ": it is of relnav-graph 0.2 or older, whose isam2 is called incremental now; resume it"
+    " with that version, or begin a new journal"
+}
 _HEAD = struct.Struct("<cII")
 _CHECK = struct.Struct("<I")
 _SEGMENT = re.compile(r"\d{8}\.journal")
@@ -71,7 +76,7 @@ def _first_line(path: Path, data: bytes) -> int:
     if found != str(_VERSION).encode():
         raise JournalError(
             f"{path}: offset {len(_MAGIC)}: found a journal of version"
-            f" {found.decode('ascii', 'replace')}, expected {_VERSION}"
+            f" {found.decode('ascii', 'replace')}, expected {_VERSION}{_OLDER.get(found, '')}"
         )
     return end + 1
 

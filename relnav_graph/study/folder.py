@@ -6,6 +6,7 @@ A record appears complete or not at all, so a study that was killed goes on wher
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -142,4 +143,12 @@ def _read_manifest(path: Path) -> _Manifest:
     file = path / "study.json"
     if not file.exists():
         raise InputError(f"{path}: no study.json in it, so it is no folder of a study")
-    return read_json(file, _Manifest, "a manifest of a study", _FORMAT, _VERSION)
+    found = read_json(file, _Manifest, "a manifest of a study", _FORMAT, _VERSION)
+    made = found.versions.get("relnav-graph", "")
+    if "isam2" in found.estimators and re.match(r"0\.[0-2]\b", made):
+        raise InputError(
+            f"{file}: estimators: isam2 of relnav-graph {made} is called incremental now, and isam2"
+            " is another estimator; make the study anew in another folder, with incremental, or"
+            " read it with that version"
+        )
+    return found

@@ -157,6 +157,8 @@ def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) ->
     causes = [n for n in noises if n["named"]]
     owners = _owners(scenario)
     text += ["Likely cause: " + _cause_text(n, owners) + "." for n in causes]
+    if best and causes:
+        text.append(_unexplained(best, found.rows[best], summary["estimators"][best], noises))
     text.append(_closing(summary, states, sensors, best, causes))
     return {
         "states": states,
@@ -166,6 +168,34 @@ def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) ->
         "causes": [n["noise"] for n in causes],
         "text": [t for t in text if t],
     }
+
+
+def _unexplained(
+    best: str, runs: RowRuns, row: Mapping[str, Any], noises: list[dict[str, Any]]
+) -> str:
+    """A sentence where errors of the smoothed row are larger than wrong noises could make them.
+
+    Its errors are a linear function of all noises: where none is more than f times as large as
+    declared, no error is more than f times as large as its sigma says. The rest is in what is not
+    noise: a constant that is taken as known bends a whole pass, and residuals show only a part.
+    """
+    most = max([NOTABLE, *(n["factor_ci"][1] for n in noises if n["tested"])])
+    beyond = {}
+    for name, state in row["states"].items():
+        if state.get("anees") is not None:
+            counted = runs.freedoms[name] * int(np.isfinite(runs.of(name, "anees")).sum())
+            rest = _judge(state["anees"] / most**2, counted)
+            if rest is not None and rest["verdict"] == "optimistic":
+                beyond[name] = rest["factor"] * most
+    if not beyond:
+        return ""
+    worst = max(beyond, key=beyond.__getitem__)
+    up_to, found = (f"{float(f'{value:.3g}'):g}" for value in (most, beyond[worst]))
+    return (
+        f"As far as residuals show, noises explain errors of {best} up to {up_to} of its sigmas;"
+        f" {worst} has {found}. The rest lies where no residual shows it: priors, or a constant"
+        " that is not estimated."
+    )
 
 
 def _closing(

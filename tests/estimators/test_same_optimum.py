@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -14,13 +15,12 @@ from passes import ZHANG, differences, sigmas
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.state import Block
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.ekf import filter_problem
 from relnav_graph.estimators.gauss_newton import Solution, solve
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.linear import gtsam_factors
 from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.gtsam_graph import Keys, graph_of
 from relnav_graph.scenario.build import load_scenario
 
 
@@ -31,73 +31,19 @@ class Nonlinear:
     problem: Problem
     start: Array
     solution: Solution
-    filtered: Array
 
-    def key(self, k: int, block: Block) -> int:
-        letters = "abcdefg"
-        return gtsam.symbol(letters[self.problem.layout.blocks.index(block)], k)
+    @cached_property
+    def keys(self) -> Keys:
+        return Keys(self.problem.layout)
 
     def values(self, x: Array) -> gtsam.Values:
-        values = gtsam.Values()
-        for k in range(len(x)):
-            self.insert(values, k, x[k])
-        return values
-
-    def insert(self, values: gtsam.Values, k: int, x: Array) -> None:
-        for block in self.problem.layout:
-            value = self.problem.layout.value(x, block.name)
-            gtsam_factors.insert_block(values, self.key(k, block), block, value)
+        return self.keys.values(x)
 
     def trajectory(self, values: gtsam.Values) -> Array:
-        layout = self.problem.layout
-        return np.array(
-            [
-                layout.pack(
-                    {b.name: gtsam_factors.read_block(values, self.key(k, b), b) for b in layout}
-                )
-                for k in range(len(self.start))
-            ]
-        )
-
-    def factors(self, k: int) -> gtsam.NonlinearFactorGraph:
-        """Of epoch k and the intervals that lead to it; the prior of epoch 0."""
-        p, out = self.problem, gtsam.NonlinearFactorGraph()
-        epoch = p.epochs[k]
-        if k == 0:
-            x = p.prior.x
-            for block in p.layout:
-                rows, key = p.layout.tangent(block.name), self.key(0, block)
-                model = gtsam.noiseModel.Gaussian.Covariance(p.prior.P[rows, rows])
-                value = p.layout.value(x, block.name)
-                if block.manifold == "SO3":
-                    out.add(gtsam.PriorFactorRot3(key, gtsam.Rot3(value), model))
-                else:
-                    out.add(gtsam.PriorFactorVector(key, value, model))
-        else:
-            for name, process in p.processes.items():
-                blocks = process.advances + process.reads
-                out.add(
-                    gtsam_factors.process_factor(
-                        process,
-                        p.epochs[k - 1].t,
-                        epoch.inputs[name],
-                        [self.key(k - 1, b) for b in blocks],
-                        [self.key(k, b) for b in process.advances],
-                        [p.layout.value(self.start[k - 1], b.name) for b in blocks],
-                    )
-                )
-        for m in epoch.measurements:
-            sensor = p.sensors[m.sensor]
-            out.add(
-                gtsam_factors.measurement_factor(sensor, m, [self.key(k, b) for b in sensor.reads])
-            )
-        return out
+        return self.keys.trajectory(values, len(self.start))
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
-        out = gtsam.NonlinearFactorGraph()
-        for k in range(len(self.start)):
-            out.push_back(self.factors(k))
-        return out
+        return graph_of(self.problem, self.start).factors
 
     def distance(self, x: Array) -> float:
         """Largest component of x minus the batch solution, in posterior sigmas."""
@@ -123,7 +69,7 @@ def nonlinear() -> Nonlinear:
     assembly = Assembly(problem.layout, problem.processes, problem.sensors, problem.epochs)
     weights = np.ones(assembly.observations)
     solution = solve(assembly, problem.prior, start, weights, tolerance=1e-6)
-    return Nonlinear(problem, start, solution, done.x)
+    return Nonlinear(problem, start, solution)
 
 
 def test_batch_gives_that_solution(nonlinear: Nonlinear) -> None:
@@ -159,25 +105,30 @@ def test_gradient_of_the_cost_equals_differences_far_from_the_optimum(
         direction, back = gtsam.VectorValues(), gtsam.VectorValues()
         for k in range(len(x)):
             d = 1e-6 * rng.normal(size=3)
-            direction.insert(nonlinear.key(k, block), d)
-            back.insert(nonlinear.key(k, block), -d)
+            direction.insert(nonlinear.keys[block.name, k], d)
+            back.insert(nonlinear.keys[block.name, k], -d)
         slope = sum(
-            float(gradient.at(nonlinear.key(k, block)) @ direction.at(nonlinear.key(k, block)))
+            float(
+                gradient.at(nonlinear.keys[block.name, k])
+                @ direction.at(nonlinear.keys[block.name, k])
+            )
             for k in range(len(x))
         )
         ahead, behind = values.retract(direction), values.retract(back)
         assert slope == pytest.approx((built.error(ahead) - built.error(behind)) / 2, rel=1e-5)
 
 
-def _gauss_newton(built: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    ordering = gtsam.Ordering()
-    for key in sorted(values.keys(), key=gtsam.symbolIndex):  # in order of time
-        ordering.push_back(key)
+def _gauss_newton(
+    built: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Keys
+) -> gtsam.Values:
+    ordering = keys.in_time(values)
     linear = built.linearize(values)
     return values.retract(linear.eliminateSequential(ordering, gtsam.EliminateQR).optimize())
 
 
-def _levenberg_marquardt(built: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+def _levenberg_marquardt(
+    built: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Keys
+) -> gtsam.Values:
     params = gtsam.LevenbergMarquardtParams()
     params.setLinearSolverType("MULTIFRONTAL_QR")
     params.setRelativeErrorTol(0.0)
@@ -185,13 +136,13 @@ def _levenberg_marquardt(built: gtsam.NonlinearFactorGraph, values: gtsam.Values
     return gtsam.LevenbergMarquardtOptimizer(built, values, params).optimize()
 
 
-Step = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
+Step = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values, Keys], gtsam.Values]
 
 
 @pytest.mark.parametrize("method", [_gauss_newton, _levenberg_marquardt])
 def test_batch_solution_is_where_gtsam_stays(nonlinear: Nonlinear, method: Step) -> None:
     """A stationary point of the cost that GTSAM builds from the custom factors."""
-    after = method(nonlinear.graph(), nonlinear.values(nonlinear.solution.x))
+    after = method(nonlinear.graph(), nonlinear.values(nonlinear.solution.x), nonlinear.keys)
     assert nonlinear.distance(nonlinear.trajectory(after)) < 1e-3
 
 
@@ -200,37 +151,8 @@ def test_gtsam_comes_to_the_batch_solution_from_elsewhere(nonlinear: Nonlinear) 
     assert nonlinear.distance(start) > 0.4
     built, values = nonlinear.graph(), nonlinear.values(start)
     for _ in range(8):
-        values = _gauss_newton(built, values)
+        values = _gauss_newton(built, values, nonlinear.keys)
     assert nonlinear.distance(nonlinear.trajectory(values)) < 1e-3
-
-
-def test_isam2_over_custom_factors_reaches_the_same_optimum(nonlinear: Nonlinear) -> None:
-    """Typed keys, QR, epoch by epoch from the filter's estimates, then relinearised."""
-    params = gtsam.ISAM2Params()
-    params.setFactorization("QR")
-    params.enableRelinearization = True
-    params.relinearizeSkip = 10
-    params.setRelinearizeThreshold(1e-9)
-    params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
-    isam = gtsam.ISAM2(params)
-    held = isam.getLinearizationPoint()  # or GTSAM copies all values for each callback
-    for k in range(len(nonlinear.start)):
-        new = gtsam.Values()
-        nonlinear.insert(new, k, nonlinear.filtered[k])
-        isam.update(nonlinear.factors(k), new)
-    assert held is isam.getLinearizationPoint()
-    nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for _ in range(8):
-        isam.update(*nothing, force_relinearize=True)
-    assert nonlinear.distance(nonlinear.trajectory(isam.calculateBestEstimate())) < 1e-3
-    # So does the covariance of the newest state.
-    layout, best = nonlinear.problem.layout, nonlinear.solution.conditionals.covariances()[-1]
-    last = len(nonlinear.start) - 1
-    for block in layout:
-        rows = layout.tangent(block.name)
-        P = isam.marginalCovariance(nonlinear.key(last, block))
-        scale = np.sqrt(np.outer(np.diag(best[rows, rows]), np.diag(best[rows, rows])))
-        np.testing.assert_allclose(P / scale, best[rows, rows] / scale, atol=1e-3)
 
 
 @pytest.mark.parametrize("last", [17, 35, 53])

@@ -35,6 +35,13 @@ def test_native_gtsam_recovers_the_pose() -> None:
     assert errors["relative position [m]"] < 0.1
 
 
+def test_native_gtsam_shows_why_qr() -> None:
+    found = _script("native_gtsam").why_qr(20)
+    assert found["MULTIFRONTAL_CHOLESKY"][0] == 0  # and no error was raised
+    assert found["MULTIFRONTAL_QR"][0] > 1
+    assert found["MULTIFRONTAL_QR"][1] < 1e-2 * found["MULTIFRONTAL_CHOLESKY"][1]
+
+
 def test_tumbling_rates_finds_the_graph_consistent() -> None:
     found = _script("tumbling_rates").main(passes=3, epochs=60)
     assert set(found) == {"iekf", "incremental", "incremental_smoothed", "batch"}
@@ -102,9 +109,11 @@ def test_benchmark_compares_everything(tmp_path: Path) -> None:
     """At a tiny size, where the figures mean nothing; that solvers agree does."""
     figure = tmp_path / "cost.png"
     script = _script("benchmark")
-    found = script.main(True, figure, (20, 30), 20, 40, 20, cold=False)
+    found = script.main(True, figure, (20, 30), 20, 40, 20, 20, cold=False)
     assert set(script.measure_fixed_lag(script.problem_of(40))[0]) == set(found["fixed_lag"])
-    assert set(found) == {"batch", "incremental", "fixed_lag", "start"}
+    assert set(found) == {"batch", "incremental", "fixed_lag", "online", "start"}
+    assert found["online"]["isam2"]["sigma_from_batch"] < 0.3
+    assert found["batch"]["gtsam_own_rows"] > 0
     assert found["batch"]["faster_than"]["gtsam_lm"] > 0  # None unless at the same optimum
     assert found["incremental"]["sigma_from_batch"] < 0.1
     assert figure.stat().st_size > 1000

@@ -80,8 +80,15 @@ def test_row_34_a_segment_before_the_last_must_be_whole(folder: Path) -> None:
 
 def test_row_34_another_version_is_refused(folder: Path) -> None:
     path = folder / "00000001.journal"
-    path.write_bytes(path.read_bytes().replace(b"relnav-journal 2", b"relnav-journal 9", 1))
-    with pytest.raises(JournalError, match="found a journal of version 9, expected 2"):
+    path.write_bytes(path.read_bytes().replace(b"relnav-journal 3", b"relnav-journal 9", 1))
+    with pytest.raises(JournalError, match="found a journal of version 9, expected 3"):
+        _reopened(folder)
+
+
+def test_row_34_a_journal_of_the_former_isam2_says_what_to_do(folder: Path) -> None:
+    path = folder / "00000001.journal"
+    path.write_bytes(path.read_bytes().replace(b"relnav-journal 3", b"relnav-journal 2", 1))
+    with pytest.raises(JournalError, match="isam2 is called incremental now; resume it with that"):
         _reopened(folder)
 
 

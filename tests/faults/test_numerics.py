@@ -43,6 +43,7 @@ PLACES: dict[str, list[str]] = {
     "iekf": ["ekf.filter_epochs", "online.monitor.Monitor.after"],
     "fixed_lag": ["ekf.filter_epochs", "window.linearize", "fixed_lag.solve_gated"],
     "incremental": ["ekf.filter_epochs", "incremental.linearize", "online.monitor.Monitor.after"],
+    "isam2": ["ekf.filter_epochs", "isam2.Tree.update", "online.monitor.Monitor.after"],
 }
 STRUCK = [(kind, place) for kind, places in PLACES.items() for place in places]
 
@@ -231,7 +232,7 @@ class _Still(DynamicsModel):
 
 
 @pytest.mark.parametrize("ratio", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 0.0])
-@pytest.mark.parametrize("kind", ["incremental", "fixed_lag", "batch"])
+@pytest.mark.parametrize("kind", ["incremental", "isam2", "fixed_lag", "batch"])
 def test_row_27_ratios_of_process_noise(kind: str, ratio: float) -> None:
     """Against a Kalman filter and a smoother of a few lines."""
     problem = _rest(ratio)
@@ -256,7 +257,7 @@ def test_row_27_ratios_of_process_noise(kind: str, ratio: float) -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
-@pytest.mark.parametrize("kind", ["iekf", "batch", "incremental", "fixed_lag"])
+@pytest.mark.parametrize("kind", ["iekf", "batch", "incremental", "isam2", "fixed_lag"])
 def test_row_28_another_scale_is_the_same_problem(kind: str, scale: float) -> None:
     """Every length in other units."""
     reference = run_estimator(kind, toy())

@@ -190,6 +190,17 @@ def test_a_folder_of_another_version_is_refused(tmp_path: Path, done: StudyFolde
         StudyFolder.open(copy)
 
 
+def test_a_folder_of_the_former_isam2_is_refused(tmp_path: Path, done: StudyFolder) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(done.path, copy)
+    manifest = json.loads((copy / "study.json").read_text())
+    manifest["versions"]["relnav-graph"] = "0.2.0"
+    manifest["estimators"] = ["ekf", "isam2"]
+    (copy / "study.json").write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=r"isam2 of relnav-graph 0\.2\.0 is called incremental"):
+        StudyFolder.open(copy)
+
+
 def test_a_folder_with_other_things_in_it_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("dear")
     with pytest.raises(InputError, match="is not empty"):

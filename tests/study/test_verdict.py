@@ -100,6 +100,7 @@ def test_a_gyro_noise_declared_too_small_is_named() -> None:
     (line,) = [t for t in found["text"] if t.startswith("Likely cause")]
     assert "times too small" in line
     assert "gyro" in line.split(":")[-1]
+    assert not any("constant" in t for t in found["text"])  # for the noise explains it all
     assert found["sensors"]["iekf"]["beacons"]["verdict"] == "optimistic"
 
 

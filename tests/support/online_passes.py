@@ -18,7 +18,7 @@ from relnav_graph.core.track import Recording
 from relnav_graph.estimators.online.driver import Estimate, Online, online
 from relnav_graph.scenario.build import load_scenario
 
-KINDS = ("ekf", "iekf", "fixed_lag", "incremental")
+KINDS = ("ekf", "iekf", "fixed_lag", "incremental", "isam2")
 WINDOW = 12.0
 
 

@@ -12,8 +12,7 @@ bit, as if it had come in order.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,10 +25,16 @@ from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.packing import Repeats, held, merged, pack, under, unpack, without_repeats
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
-from relnav_graph.errors import EstimationError, InputError, LateError, ModelError, RelnavError
+from relnav_graph.errors import EstimationError, InputError, LateError, ModelError
 from relnav_graph.estimators import GROUP, ServesOnline
-from relnav_graph.estimators.ekf import FilterSweep
-from relnav_graph.estimators.online.engine import Engine, EngineState, Estimate, Refusal
+from relnav_graph.estimators.online.engine import (
+    Engine,
+    EngineState,
+    Estimate,
+    Refusal,
+    TakesExtra,
+)
+from relnav_graph.estimators.online.extras import check_numbers, extras_in, saved_extras
 from relnav_graph.estimators.online.monitor import (
     DOWNWEIGHTED,
     REJECTED,
@@ -38,6 +43,7 @@ from relnav_graph.estimators.online.monitor import (
     Monitor,
     caution,
 )
+from relnav_graph.estimators.online.refusals import named, refusals
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
 
@@ -60,12 +66,14 @@ class _Moment:
 @dataclass(frozen=True, eq=False)
 class _State:
     """All that changes, swapped as one. past: epochs that left the window, newest first, as
-    nested pairs; None for an engine that can be saved without them."""
+    nested pairs; None for an engine that can be saved without them. added: what the user has put
+    into the graph, each with the time of the newest epoch then."""
 
     engine: Any
     monitor: Monitor
     moments: tuple[_Moment, ...] = ()
     past: Any = None
+    added: tuple[tuple[float, Any], ...] = ()
 
 
 class Online:
@@ -208,12 +216,36 @@ class Online:
         if sum(len(ids) for _, _, ids in repeats) == sum(len(m.z) for m in measurements):
             return self._swap(old, repeats, ())  # nothing new in them
         moment = old.moments[start]
-        state = _State(moment.state, moment.monitor, old.moments[:start], old.past)
+        if old.added:
+            check_numbers(self.engine, old, start, [epoch.t for epoch, _ in cleaned])
+        before = tuple(one for one in old.added if one[0] < moment.epoch.t)
+        state = _State(moment.state, moment.monitor, old.moments[:start], old.past, before)
         found: tuple[Refusal, ...] = ()
         for epoch, _ in cleaned:
             state, more = self._advance(state, epoch)
+            state = self._added(state, old.added, epoch.t)
             found += more
         return self._swap(state, repeats, found)
+
+    def add(self, extra: Any) -> None:
+        """Put native factors and variables of a graph (`relnav_graph.estimators.isam2.Extra`) to
+        an estimator that has one; epochs are numbered as they come, from 0 on.
+
+        What names epochs to come waits for them. Raises InputError when the estimator takes none,
+        or they do not fit, EstimationError when they leave a variable undetermined; all is then as
+        before.
+        """
+        self._claim()
+        if not isinstance(self.engine, TakesExtra):
+            raise InputError(f"estimator {self.kind!r} takes no extra factors; isam2 does")
+        t = -np.inf if self.t is None else self.t
+        self._state = self._added(self._state, ((t, extra),), t)
+
+    @property
+    def variables(self) -> Mapping[int, tuple[Any, Array]]:
+        """Value and covariance (d, d) of each variable that `add` has brought, by its key."""
+        engine = self.engine
+        return engine.variables(self._state.engine) if isinstance(engine, TakesExtra) else {}
 
     def predict(self, t: float, inputs: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
         """x (size,) and P (n, n) ahead at time t, s; changes nothing.
@@ -230,7 +262,7 @@ class Online:
         if inputs is None:
             inputs = held(self.epochs[-1].inputs, self.problem.processes, t - now)
         ahead = Epoch(t, (), inputs)
-        with _named(ahead):
+        with named(ahead):
             x, P = self._assemble(ahead, now).predict(self.x, self.P)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"predict: the state at {t} s is not finite")
@@ -242,7 +274,7 @@ class Online:
         """All that it knows, as plain arrays by name, for `restore`.
 
         The oldest state of the window and the epochs since; all epochs for an engine whose
-        state cannot be saved.
+        state cannot be saved. Raises InputError on an extra factor that cannot be saved.
         """
         s, saved = self._state, dict[str, Array]()
         monitor, epochs = Monitor.of(self.problem.sensors), list(self.epochs)
@@ -256,6 +288,7 @@ class Online:
         out = {f"engine.{name}": array for name, array in saved.items()}
         out |= {f"epochs.{name}": array for name, array in pack(epochs).items()}
         out["monitor"] = monitor.table
+        out |= {f"extra.{name}": array for name, array in saved_extras(s.added).items()}
         for sensor, counts in self.counts.items():
             for reason, n in counts.items():
                 out[f"counts.{reason}.{sensor}"] = np.array(float(n))
@@ -270,8 +303,11 @@ class Online:
         own = under(state, "engine.")
         engine = self.engine.load(own) if own else self._state.engine
         new = _State(engine, Monitor.of(self.problem.sensors, np.array(state["monitor"])))
+        extras = extras_in(self.engine, under(state, "extra."))
+        new = self._added(new, extras, -np.inf)
         for epoch in unpack(under(state, "epochs.")):
             new, _ = self._advance(new, epoch)
+            new = self._added(new, extras, epoch.t)
         counts: dict[str, dict[str, int]] = {name: {} for name in self.problem.sensors}
         for key, n in under(state, "counts.").items():
             reason, _, sensor = key.partition(".")
@@ -296,6 +332,13 @@ class Online:
             counts = self.counts[sensor]
             counts[reason] = counts.get(reason, 0) + n
 
+    def _added(self, s: _State, extras: Sequence[tuple[float, Any]], t: float) -> _State:
+        """The state with those extras that were added when the newest epoch was at t, s."""
+        for extra in (extra for at, extra in extras if at == t):
+            engine: Any = self.engine
+            s = replace(s, engine=engine.add(s.engine, extra), added=(*s.added, (t, extra)))
+        return s
+
     def _check_late(self, m: Measurement) -> None:
         where = f"sensor {m.sensor!r} at t = {m.t} s"
         if m.sensor not in self.problem.sensors:
@@ -313,7 +356,7 @@ class Online:
         """The state with one more epoch, and what was refused of it."""
         if self._copies:
             check_copied(epoch, self.problem.sensors, s.monitor.count(USED))
-        with _named(epoch):
+        with named(epoch):
             if assembly is None:
                 assembly = self._assemble(epoch, s.engine.t)
             engine = self.engine.advance(s.engine, epoch, assembly)
@@ -329,7 +372,7 @@ class Online:
                 for m in moments[:gone]:
                     past = (m.epoch, past)
             moments = moments[gone:]
-        return _State(engine, monitor, moments, past), _refusals(epoch.t, engine.done)
+        return _State(engine, monitor, moments, past, s.added), refusals(epoch.t, engine.done)
 
     def _swap(self, state: _State, repeats: Repeats, found: tuple[Refusal, ...]) -> Estimate:
         refused = (*(Refusal(*r, "duplicate") for r in repeats), *found)
@@ -348,24 +391,6 @@ class Online:
         return estimate
 
 
-@contextmanager
-def _named(epoch: Epoch) -> Iterator[None]:
-    """Whatever a model raises in an epoch becomes a ModelError that says where."""
-    try:
-        # What is far out overflows before it is found out.
-        with np.errstate(over="ignore", invalid="ignore"):
-            yield
-    except RelnavError:
-        raise
-    except np.linalg.LinAlgError as error:
-        raise EstimationError(f"t = {epoch.t} s: {error}") from error
-    except Exception as error:
-        seen = ", ".join(m.sensor for m in epoch.measurements) or "no sensor"
-        raise ModelError(
-            f"t = {epoch.t} s ({seen}): a model raised {type(error).__name__}: {error}"
-        ) from error
-
-
 def online(kind: str, problem: Problem) -> Online:
     """An estimator of a kind, to be driven online.
 
@@ -373,23 +398,3 @@ def online(kind: str, problem: Problem) -> Online:
     that kind, or it has no ``engine``.
     """
     return Online(problem, kind)
-
-
-def _refusals(t: float, done: FilterSweep) -> tuple[Refusal, ...]:
-    """What a filter left out of one epoch, or did not use fully."""
-    weights = done.weights
-    if (weights == 1).all():
-        return ()
-    a = done.assembly
-    status = a.measure(done.x_predicted, np.ones(a.observations)).status
-    reasons = {
-        "impossible": (weights == 0) & (status > 0),
-        "gated": (weights == 0) & (status == 0),
-        "downweighted": (weights > 0) & (weights < 1),
-    }
-    out = []
-    for reason, chosen in reasons.items():
-        for i in np.unique(a.sensor_of[chosen]):
-            ids = tuple(int(n) for n in a.ids[chosen & (a.sensor_of == i)])
-            out.append(Refusal(a.sensor_names[i], t, ids, reason))
-    return tuple(out)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
@@ -12,7 +12,7 @@ from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.estimators.online.monitor import Health
 from relnav_graph.linear.assembly import Assembly
 
-__all__ = ["Engine", "EngineState", "Estimate", "Refusal"]
+__all__ = ["Engine", "EngineState", "Estimate", "Refusal", "TakesExtra"]
 
 
 class EngineState(Protocol):
@@ -51,6 +51,23 @@ class Engine(Protocol):
 
     def load(self, arrays: Mapping[str, Array]) -> Any:
         """The state that `save` made `arrays` of: t (), x (size,), P (n, n) and so on."""
+
+
+@runtime_checkable
+class TakesExtra(Protocol):
+    """What an engine has besides whose graph takes native factors of the user's."""
+
+    def add(self, state: Any, extra: Any) -> Any:
+        """The state with more factors and variables. Raises InputError or EstimationError."""
+
+    def variables(self, state: Any) -> dict[int, tuple[Any, Array]]:
+        """Value and covariance (d, d) of each variable of the user's, by its key."""
+
+    def named(self, state: Any) -> int:
+        """The largest number of an epoch that a factor of the user's names, -1 for none."""
+
+    def extra(self, arrays: Mapping[str, Array]) -> Any:
+        """What the user gave, from the arrays (bytes,) that its `save` made."""
 
 
 @dataclass(frozen=True)

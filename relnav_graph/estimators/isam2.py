@@ -1,0 +1,395 @@
+"""iSAM2 (Kaess et al. 2012): GTSAM's Bayes tree over our own factors, for graphs of any shape.
+
+The tree holds the whole history: a `CustomFactor` of each model over one typed variable for each
+block and epoch, static blocks once, and whatever native factors a user adds: a loop closure, a
+prior, a variable of their own. A step adds the newest epoch, linearised at an iterated filter's
+estimate, and eliminates the top of the tree anew. Nothing is relinearised meanwhile: thresholds,
+which decide it variable by variable, cannot win where a new measurement moves every past state a
+little (`relnav_graph.estimators.incremental`). Instead the whole is relinearised by force on the
+same geometric schedule: the tree is built anew at its own estimate until that moves no more.
+
+A tree cannot be copied in the time of a step. So the state is the log of what went into it, an
+immutable value, and the tree a cache of the newest state, made again from the log when another
+state is asked for: after a failure, a late measurement, from a journal. Both ways make the same
+updates of the same numbers, so that the results are the same, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import gtsam
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Status, Track, estimates
+from relnav_graph.errors import EstimationError, InputError
+from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
+from relnav_graph.estimators.gauss_newton import Solution, is_small
+from relnav_graph.estimators.second_look import second_look
+from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
+from relnav_graph.estimators.trust import judge
+from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost, reweighted
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.elimination import linearize
+from relnav_graph.linear.gtsam_extra import Extra, Piece, pieces
+from relnav_graph.linear.gtsam_graph import Graph, Keys, PassFactors, to_track
+from relnav_graph.linear.gtsam_tree import Part, Tree, check_depth
+
+__all__ = ["Extra", "ISAM2Smoother", "Isam2", "Keys", "TreeState"]
+
+#: Forced updates of a scheduled relinearisation, at most, of each set of weights, and of the last.
+FORCED, LAST = 4, 25
+#: Length of the last step, in sigmas over all states together, that ends either.
+NEAR, CONVERGED = 0.1, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class TreeState:
+    """The smoother at one epoch: an immutable value.
+
+    t: s, None before the first epoch; x (size,), P (n, n): the newest estimate; count: epochs
+    taken in; last: the newest part of the log; due: number of epochs at which the whole is
+    relinearised next; done: the filter's part in the newest epoch; waiting: what the user gave for
+    epochs that are still to come; own: values of all variables of the user's, as given.
+    """
+
+    t: float | None
+    x: Array
+    P: Array
+    count: int = 0
+    last: Part | None = None
+    due: int = 1
+    done: FilterSweep | None = None
+    waiting: tuple[Piece, ...] = ()
+    own: gtsam.Values = field(default_factory=gtsam.Values)
+
+    def parts(self) -> list[Part]:
+        """All parts, in order of time."""
+        out, one = list[Part](), self.last
+        while one is not None:
+            out.append(one)
+            one = one.before
+        return out[::-1]
+
+
+class ISAM2Smoother:
+    """An engine of `relnav_graph.estimators.online.driver`; `finish` smooths the whole.
+
+    ratio: by which the history grows between relinearisations; extra: of the user's, from the
+    beginning.
+    """
+
+    #: Its state is the whole history: only the epochs can make it again.
+    compact: ClassVar[bool] = False
+
+    def __init__(self, problem: Problem, ratio: float, extra: Extra | None = None) -> None:
+        self.problem, self.ratio, self._extra = problem, ratio, extra
+        self.keys = Keys(problem.layout)
+        self._make = PassFactors(problem, self.keys)
+        self._cache: tuple[TreeState, Tree] | None = None
+
+    def begin(self) -> TreeState:
+        """At the prior, before the first epoch; what the user gave waits for its epochs."""
+        start = TreeState(None, self.problem.prior.x, self.problem.prior.P)
+        return start if self._extra is None else self.add(start, self._extra)
+
+    def save(self, state: TreeState) -> dict[str, Array]:
+        """An empty mapping: see `compact`."""
+        return {}
+
+    def load(self, arrays: Mapping[str, Array]) -> TreeState:
+        """The state before the first epoch; `arrays` is empty."""
+        return self.begin()
+
+    def advance(
+        self, state: TreeState, epoch: Epoch, assembly: Assembly | None = None
+    ) -> TreeState:
+        """The state with one more epoch.
+
+        assembly: of this epoch, where the caller has it already. Raises EstimationError when the
+        state cannot be propagated or updated, is not determined or not finite, or the history is
+        too long for the stack.
+        """
+        check_depth(state.count + 1)
+        layout, models = self.problem.layout, (self.problem.processes, self.problem.sensors)
+        if assembly is None:
+            assembly = Assembly(layout, *models, [epoch], state.t)
+        before = FilterState(state.t, state.x, state.P)
+        done = filter_step(self.problem, ITERATIONS, before, epoch, assembly)
+        try:
+            after, tree = self._extended(state, epoch, done)
+            if after.count >= state.due:
+                after, tree = self._relinearized(after, tree, NEAR, FORCED)[:2]
+                due = max(state.count + 2, math.ceil(self.ratio * after.count))
+                after = replace(after, due=due)
+        except (EstimationError, np.linalg.LinAlgError) as error:
+            raise EstimationError(f"t = {epoch.t} s: {error}") from error
+        self._cache = after, tree
+        return after
+
+    def _extended(self, s: TreeState, epoch: Epoch, done: FilterSweep) -> tuple[TreeState, Tree]:
+        """The state with one more epoch, linearised where the filter has it."""
+        k, keys, moving = s.count, self.keys, self.problem.layout.moving
+        x, values, graph = np.array(done.end.x), gtsam.Values(), gtsam.NonlinearFactorGraph()
+        factors = self._make.measurements(k, epoch, done.weights, {})
+        if s.last is None:
+            factors = self._make.prior() + factors
+            values = keys.values(x[None])
+        else:
+            assert s.t is not None
+            whiten = done.assembly.whitening_of(done.x_predicted, done.Q)[0]
+            factors += self._make.interval(k, epoch, s.t, whiten)
+            keys.insert(values, k, moving, x[: moving.size])
+            x[moving.size :] = s.last.x[moving.size :]  # static blocks are in the tree already
+        ready = tuple(piece for piece in s.waiting if piece.last <= k)
+        waiting = tuple(piece for piece in s.waiting if piece.last > k)
+        for factor in factors:
+            graph.push_back(factor)
+        part = Part(s.last, (epoch,), done.assembly, done.weights, graph, values, x, ())
+        after = replace(s, t=done.end.t, count=k + 1, done=done, waiting=waiting)
+        return self._updated(after, s, part, ready)
+
+    def _updated(
+        self, after: TreeState, before: TreeState, part: Part, ready: tuple[Piece, ...]
+    ) -> tuple[TreeState, Tree]:
+        """The state after one more part, with what the user gave for it, and its tree."""
+        for piece in ready:
+            for factor in piece.factors:
+                part.factors.push_back(factor)
+            part.values.insert(piece.values)
+        part = replace(part, pieces=ready)
+        tree = self._tree(before)
+        tree.update(part.factors, part.values, after.count - 1)
+        for key in (key for piece in ready for key in piece.own):
+            tree.variable(key)  # raises where nothing tells it
+        x, P = tree.newest(after.count - 1, part.x)
+        return replace(after, x=x, P=P, last=part), tree
+
+    def _tree(self, s: TreeState) -> Tree:
+        """The tree of a state: the one at hand, which is then the caller's, or one made again."""
+        cache, self._cache = self._cache, None
+        if cache is not None and cache[0] is s:
+            return cache[1]
+        tree, count = Tree(self.keys), 0
+        for part in s.parts():
+            count += len(part.epochs)
+            tree.update(part.factors, part.values, count - 1)
+        return tree
+
+    def _relinearized(
+        self, s: TreeState, tree: Tree, tolerance: float, forced: int
+    ) -> tuple[TreeState, Tree, Assembly, float]:
+        """The state with the whole history linearised anew, and weights decided anew; its tree,
+        all epochs, and the length of the last step, in sigmas."""
+        parts, problem = s.parts(), self.problem
+        epochs = tuple(epoch for part in parts for epoch in part.epochs)
+        assembly = Assembly.join([part.assembly for part in parts if part.assembly is not None])
+        weights = np.concatenate([part.weights for part in parts])
+        given = tuple(piece for part in parts for piece in part.pieces)
+        best = tree.best()
+        found: tuple[Part, Tree, float] = parts[-1], tree, np.inf
+
+        def solve(x: Array, weights: Array) -> Array:
+            nonlocal best, found
+            whiten = assembly.whitening(x[:-1])
+            for _ in range(forced):
+                # What is impossible there is left out.
+                w = np.where(assembly.measure(x, weights).status == 0, weights, 0.0)
+                factors = self._make.whole(epochs, assembly, w, whiten, {})
+                values, tree = self.keys.values(x), Tree(self.keys)
+                for piece in given:
+                    values.insert(best.extract(list(piece.own)))
+                    for factor in piece.factors:
+                        factors.push_back(factor)
+                tree.update(factors, values, s.count - 1)
+                whole = Part(None, epochs, assembly, w, factors, values, x[-1], given)
+                found = whole, tree, tree.distance()
+                best = tree.best()
+                if not np.isfinite(found[2]):
+                    raise EstimationError("the estimate is not finite")
+                x = self.keys.trajectory(best, s.count)
+                if found[2] < tolerance:
+                    break
+            return x
+
+        start = self.keys.trajectory(best, s.count)
+        reweighted(problem, assembly, start, weights, solve)
+        part, tree, distance = found
+        x, P = tree.newest(s.count - 1, part.x)
+        return replace(s, x=x, P=P, last=part), tree, assembly, distance
+
+    # --- what a user adds ------------------------------------------------------------------
+
+    def add(self, state: TreeState, extra: Extra) -> TreeState:
+        """The state with more factors and variables.
+
+        Those that name epochs to come wait for them, and so do those that share a variable of the
+        user's with them. Raises InputError on what does not fit, EstimationError where a variable
+        is not determined.
+        """
+        found = pieces(extra, self.keys, state.x, state.own)
+        ready = tuple(piece for piece in found if 0 < state.count > piece.last)
+        own = gtsam.Values(state.own)
+        own.insert(extra.values)
+        waiting = *state.waiting, *(piece for piece in found if piece not in ready)
+        after = replace(state, own=own, waiting=waiting)
+        if not ready:
+            if self._cache is not None and self._cache[0] is state:
+                self._cache = after, self._cache[1]
+            return after
+        assert state.last is not None
+        nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        part = Part(state.last, (), None, np.zeros(0), *nothing, state.last.x, ())
+        after, tree = self._updated(after, state, part, ready)
+        self._cache = after, tree
+        return after
+
+    def named(self, state: TreeState) -> int:
+        """The largest number of an epoch that a factor of the user's names, -1 for none."""
+        given = [piece for part in state.parts() for piece in part.pieces]
+        return max((piece.last for piece in (*given, *state.waiting)), default=-1)
+
+    def extra(self, arrays: Mapping[str, Array]) -> Extra:
+        """What the user gave, from the arrays (bytes,) that its `save` made."""
+        return Extra.load(arrays)
+
+    def variables(self, state: TreeState) -> dict[int, tuple[Any, Array]]:
+        """Value and covariance (d, d) of each variable of the user's in the tree, by key."""
+        tree = self._tree(state)
+        self._cache = state, tree
+        own = [key for part in state.parts() for piece in part.pieces for key in piece.own]
+        return {key: tree.variable(key) for key in own}
+
+    def finish(self, state: TreeState) -> _End:
+        """The whole trajectory, smoothed to convergence.
+
+        Raises InputError where something of the user's still waits for an epoch.
+        """
+        if state.waiting:
+            raise InputError(
+                f"extra: {state.waiting[0]} name epoch {state.waiting[0].last}, and there are"
+                f" {state.count} epochs, from 0 on"
+            )
+        after, tree, assembly, distance = self._relinearized(
+            state, self._tree(state), CONVERGED, LAST
+        )
+        assert after.last is not None
+        whole, values = after.last, tree.best()
+        problem = replace(self.problem, epochs=whole.epochs)
+        track = to_track(problem, Graph(whole.factors, values, self.keys), values)
+        x, cost = self.keys.trajectory(values, state.count), whole.factors.error(values)
+        return _End(track, assembly, x, whole.weights, cost, distance)
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """What a pass ends with: its smoothed track and all epochs; x (N, size), of all blocks;
+    weights (observations,), square roots; the cost; the last step's length, in sigmas."""
+
+    track: Track
+    assembly: Assembly
+    x: Array
+    weights: Array
+    cost: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class Isam2:
+    """GTSAM's iSAM2 over our factors, relinearised whenever the history has grown by `ratio`.
+
+    Gives two tracks: the current epoch's estimates as they came, and, as `smoothed`, the whole
+    trajectory that it ends with.
+    """
+
+    kind: ClassVar[str] = "isam2"
+    ratio: float = 1.3
+
+    def engine(self, problem: Problem) -> ISAM2Smoother:
+        """For use online."""
+        return ISAM2Smoother(problem, self.ratio)
+
+    def run(self, problem: Problem, extra: Extra | None = None) -> Track:
+        """Estimate the pass epoch by epoch.
+
+        extra: factors and variables of the user's. Raises InputError when they do not fit.
+        """
+        if extra is not None:
+            keys, count = Keys(problem.layout), len(problem.epochs)
+            for piece in pieces(extra, keys, problem.prior.x, gtsam.Values()):
+                if piece.last >= count:
+                    raise InputError(
+                        f"extra: {piece} name epoch {piece.last}, and there are {count} epochs,"
+                        " from 0 on"
+                    )
+        return self.drive(RecordedSource(problem), extra)
+
+    def drive(self, source: Source, extra: Extra | None = None) -> Track:
+        """Estimate epochs as they come; extra: as of `run`."""
+        smoother = ISAM2Smoother(source.problem, self.ratio, extra)
+        ended = [smoother.begin()]
+
+        def notice(state: TreeState) -> None:
+            ended[0] = state
+
+        done, begun = drive(source, smoother, notice), time.perf_counter()
+        problem, message = done.problem, done.stopped
+        status: Status = "diverged"
+        layout = problem.layout
+        found = estimates(layout, np.full_like(done.x, np.nan), np.full_like(done.P, np.nan))
+        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
+        cautions, seconds, mine = tuple[Caution, ...](), 0.0, dict[int, Any]()
+        if not done.stopped:
+            try:
+                end = smoother.finish(ended[0])
+                found = {name: getattr(end.track, name) for name in ("x", "P", "statics")}
+                mine = dict(end.track.extra)
+                rejected |= count_rejected(end.assembly, end.weights)
+                downweighted = count_downweighted(end.assembly, end.weights)
+                away = lost(end.assembly, end.weights)
+                rows = end.assembly.rows_of(end.weights > 0)
+                status, message = judge(away, problem, 2 * end.cost, int(rows.sum()))
+                if not is_small(end.distance, end.x.shape[0] * layout.dim):
+                    stopped = f"not converged: last step {end.distance:.2g} sigma"
+                    status, message = "degraded", "; ".join(filter(None, [message, stopped]))
+                seconds = time.perf_counter() - begun
+                if status == "ok" and extra is None:
+                    cautions = _second_look(problem, end)
+            except UNSOLVED as error:
+                status, message = "diverged", str(error)
+        track = done.track(
+            self.kind,
+            status=status,
+            message=message,
+            rejected=rejected,
+            downweighted=downweighted,
+            cautions=cautions,
+            extra=mine,
+        )
+        smoothed = replace(
+            track,
+            name=f"{self.kind}_smoothed",
+            kind="smoothed",
+            **found,
+            runtime_s=track.runtime_s + (seconds or time.perf_counter() - begun),
+            step_s=None,
+        )
+        return replace(track, smoothed=smoothed)
+
+
+def _second_look(problem: Problem, end: _End) -> tuple[Caution, ...]:
+    """A second look at the chain that a problem is without anything of a user's."""
+    whiten = end.assembly.whitening(end.x[:-1])
+    system = linearize(end.assembly, anchor_of(problem.prior), end.x, whiten, end.weights)
+    c = system.conditionals
+    solution = Solution(end.x, c, system.cost, system.status, end.weights, end.distance, 0)
+    return second_look(end.assembly, problem.prior, solution, c.marginals())
