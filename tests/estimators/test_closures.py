@@ -28,7 +28,7 @@ def smoothed(kind: str, problem: object) -> Track:
     return track if track.smoothed is None else track.smoothed
 
 
-@pytest.mark.parametrize("kind", ["rts", "batch", "incremental"])
+@pytest.mark.parametrize("kind", ["rts", "batch", "incremental", "isam2"])
 def test_copies_give_what_direct_rows_give(kind: str) -> None:
     problem = looped_problem()
     x, P = direct_solution(problem)
@@ -41,7 +41,7 @@ def test_copies_give_what_direct_rows_give(kind: str) -> None:
     assert apart(without, x, P) > 1.0, "the closures tell something"
 
 
-@pytest.mark.parametrize("kind", ["ekf", "iekf", "incremental", "fixed_lag"])
+@pytest.mark.parametrize("kind", ["ekf", "iekf", "incremental", "fixed_lag", "isam2"])
 def test_the_newest_epoch_is_that_of_direct_rows(kind: str) -> None:
     """Whatever has left a window: the copies stay."""
     problem = looped_problem()
