@@ -54,5 +54,7 @@ def command(
     tables: Format = "parquet" if parquet else "csv"
     s = opened.scenario
     stamped = opened.recording.shifted(s.file.time.origin)
-    write_dataset(target, s.raw, stamped, s.sensors, s.input_columns, blocks, tables)
+    write_dataset(
+        target, s.raw, stamped, s.sensors, s.input_columns, blocks, tables, s.file.time.origin
+    )
     show_progress(f"{target}: {len(opened.recording.times)} epochs")

@@ -50,5 +50,14 @@ def command(
     blocks = {b.name: b for b in loaded.layout}
     raw = {**loaded.raw, "seed": seed}
     tables: Format = "parquet" if parquet else "csv"
-    write_dataset(out, raw, stamped, loaded.sensors, loaded.input_columns, blocks, tables)
+    write_dataset(
+        out,
+        raw,
+        stamped,
+        loaded.sensors,
+        loaded.input_columns,
+        blocks,
+        tables,
+        loaded.file.time.origin,
+    )
     show_progress(f"{out}: {len(recording.times)} epochs, seed {seed}")

@@ -17,6 +17,7 @@ from relnav_graph.core.state import Block
 from relnav_graph.maths.orbit import KeplerOrbit
 
 __all__ = [
+    "CopiesBlocks",
     "Derived",
     "Dynamics",
     "IntegratesBySteps",
@@ -26,6 +27,7 @@ __all__ = [
     "Mountable",
     "NamesDirections",
     "ProposesStarts",
+    "ReadsCopies",
     "Sensor",
 ]
 
@@ -189,6 +191,30 @@ class Mountable(Protocol):
 
     def freed(self) -> Sensor:
         """The same sensor with its mounting in the state, in static blocks that it reads last."""
+
+
+@runtime_checkable
+class CopiesBlocks(Protocol):
+    """A sensor that measures nothing: at one epoch, its keyframe, s, it ties static blocks to the
+    present values of others. It reads the copies, then what they copy, in the same order; z is
+    zero."""
+
+    keyframe: float
+    copies: Mapping[str, Block]
+    """By the name of the copy, what it copies."""
+
+
+@runtime_checkable
+class ReadsCopies(Protocol):
+    """A sensor that compares an epoch with an earlier one, in copies that `copier` makes there.
+
+    keyframe: time of the earlier one, s; None: what it reads of it is no copy.
+    """
+
+    keyframe: float | None
+
+    def copier(self) -> Sensor:
+        """The sensor that ties the copies to what they copy: a `CopiesBlocks`."""
 
 
 @runtime_checkable

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.contracts import Dynamics, ReadsCopies, Sensor
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement, edge_tolerance
 from relnav_graph.core.models import check_inputs
 from relnav_graph.errors import InputError
@@ -55,6 +55,17 @@ def _check_length(where: str, length: float) -> None:
         )
 
 
+def _check_closure(m: Measurement, sensor: Sensor) -> None:
+    """Raise InputError on a loop closure to an epoch that is not an earlier one."""
+    if getattr(sensor, "keyframe", None) is None or not isinstance(sensor, ReadsCopies):
+        return
+    if m.t <= float(sensor.keyframe or 0.0) + SAME_TIME:
+        raise InputError(
+            f"sensor {m.sensor!r}: found a measurement at t = {m.t} s, expected one after its"
+            f" keyframe, {sensor.keyframe} s: a closure is to an earlier epoch"
+        )
+
+
 def check_epoch(
     processes: Mapping[str, Dynamics],
     sensors: Mapping[str, Sensor],
@@ -63,9 +74,9 @@ def check_epoch(
 ) -> None:
     """Check an epoch and, unless t_before is None, the interval that leads to it.
 
-    Raises InputError when a sensor is unknown, a measurement is of another time or width,
-    or a process lacks inputs, has some of another form, or of another length of time, or is to
-    go on for longer than any model can mean.
+    Raises InputError when a sensor is unknown, a measurement is of another time or width or a
+    closure to a later epoch, or a process lacks inputs, has some of another form, or of another
+    length of time, or is to go on for longer than any model can mean.
     """
     for m in epoch.measurements:
         if m.sensor not in sensors:
@@ -77,6 +88,7 @@ def check_epoch(
             raise InputError(
                 f"sensor {m.sensor!r} at t = {m.t} s: found z of {m.z.shape}, expected {columns}"
             )
+        _check_closure(m, sensors[m.sensor])
     for name, process in processes.items() if t_before is not None else ():
         where = f"process {name!r} ({process.kind}) from {t_before} s to {epoch.t} s"
         _check_length(where, epoch.t - float(t_before or 0.0))

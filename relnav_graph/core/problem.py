@@ -19,6 +19,7 @@ from relnav_graph.core.cautions import (
     orbit_cautions,
 )
 from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
+from relnav_graph.core.copies import copied
 from relnav_graph.core.epochs import Epoch, bridged, check_epoch
 from relnav_graph.core.measurement import SAME_TIME, Bridge
 from relnav_graph.core.state import Layout
@@ -76,9 +77,10 @@ class Problem:
     fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
     gaps in inputs are bridged, by input, where they come online; merge: s, how close to an epoch
     is of it, online, 0 for equal times only. Without epochs it is one to be driven online: they
-    come later. Raises ModelError when a block is advanced by no process or by two, InputError
-    when times do not increase, a sensor is unknown, two models have different orbits or a name
-    is none (`relnav_graph.files.check_name`).
+    come later. Copies (`relnav_graph.core.copies`) are made at its epochs. Raises ModelError when
+    no process advances any block, or two advance one, InputError when times do not increase, a
+    sensor is unknown, two models have different orbits, a name is none
+    (`relnav_graph.files.check_name`) or there is no epoch to copy.
     """
 
     processes: Mapping[str, Dynamics]
@@ -102,7 +104,7 @@ class Problem:
             for sensor in getattr(self, name):
                 if sensor not in self.sensors:
                     raise InputError(f"{name}: unknown sensor {sensor!r}")
-        object.__setattr__(self, "epochs", tuple(self.epochs))
+        object.__setattr__(self, "epochs", copied(self.epochs, self.sensors, self.merge))
         object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))
         check_orbits(self.processes, self.sensors)
         n = self.layout.dim

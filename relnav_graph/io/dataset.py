@@ -4,7 +4,8 @@
 
     scenario.toml         the scenario
     epochs.csv            t_s; optional, else the times of the measurements
-    <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s
+    <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s; of one that closes
+                          loops, t_from_s, the time of the earlier epoch
     <input>.csv           t_start_s, t_end_s, the columns that its process declares
     truth_<block>.csv     t_s, the columns of `component_columns`; optional
     dataset.toml          format, settings that the data bring, digests; optional
@@ -34,7 +35,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
-from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.state import Block
@@ -42,6 +43,13 @@ from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.files import check_name, file_in, read_file
 from relnav_graph.io.atomic import atomic
+from relnav_graph.io.closures import (
+    by_keyframe,
+    earlier_times,
+    grouped,
+    keyframes_in,
+    of_closures,
+)
 from relnav_graph.io.tabular import (
     Format,
     Table,
@@ -51,6 +59,7 @@ from relnav_graph.io.tabular import (
     write_table,
 )
 from relnav_graph.io.truth import read_truth
+from relnav_graph.scenario.toml import merge as joined
 from relnav_graph.scenario.toml import read_toml, refuse_modules
 
 __all__ = [
@@ -162,10 +171,15 @@ def read_scenario_of(folder: str | os.PathLike[str], trust: bool = False) -> dic
     return raw
 
 
-def read_settings_of(folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """Settings that a data set brings, {} when none. Raises InputError on a damaged one."""
-    settings: dict[str, Any] = _manifest(Path(folder)).get("settings", {})
-    return settings
+def read_settings_of(
+    folder: str | os.PathLike[str], scenario: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Settings that a data set brings, {} when none: those of its manifest and, for the tables of a
+    scenario, the keyframes of its loop closures. Raises InputError on a damaged one."""
+    folder = Path(folder)
+    settings: dict[str, Any] = _manifest(folder).get("settings", {})
+    keyframes = keyframes_in(folder, scenario or {})
+    return joined(settings, {"sensors": keyframes}) if keyframes else settings
 
 
 def _epochs(
@@ -198,11 +212,13 @@ def read_dataset(
     blocks: Mapping[str, Block],
     merge: float = SAME_TIME,
     statics: Container[str] = (),
+    origin: float = 0.0,
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
     inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
-    which of the blocks are static, see `relnav_graph.io.truth.read_truth`.
+    which of the blocks are static, see `relnav_graph.io.truth.read_truth`; origin: what stamps say
+    at t = 0 of the clock of the sensors' keyframes, s.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -215,8 +231,12 @@ def read_dataset(
     for name in (*sensors, *inputs):
         check_name("a table", name, _LONGEST)
     manifest = _manifest(folder)
-    tables = {name: _need_table(folder, name) for name in sensors}
-    measurements = [m for n, s in sensors.items() for m in _measurements(tables[n], n, s)]
+    tables = {name: _need_table(folder, name) for name in grouped(sensors)}
+    measurements = list[Measurement]()
+    for name, own in grouped(sensors).items():
+        closures = of_closures(own)
+        parts = by_keyframe(tables[name], own, origin) if closures else {name: tables[name]}
+        measurements += [m for n, part in parts.items() for m in _measurements(part, n, own[n])]
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
@@ -224,9 +244,13 @@ def read_dataset(
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 
-def _sensor_columns(name: str, sensor: Sensor, measurements: Iterable[Measurement]) -> Columns:
-    """The table of a sensor: a row per observation, in order of time."""
-    own = sorted((m for m in measurements if m.sensor == name), key=lambda m: m.t)
+def _sensor_columns(
+    name: str, sensors: Mapping[str, Sensor], measurements: Iterable[Measurement], origin: float
+) -> Columns:
+    """The table of a sensor, or of those that close loops to its keyframes: a row per observation,
+    in order of time."""
+    sensor = next(iter(sensors.values()))
+    own = sorted((m for m in measurements if m.sensor in sensors), key=lambda m: m.t)
     for m in own:
         if m.z.shape[1] != len(sensor.columns):
             raise InputError(
@@ -237,6 +261,7 @@ def _sensor_columns(name: str, sensor: Sensor, measurements: Iterable[Measuremen
     z = np.concatenate([np.zeros((0, len(sensor.columns))), *(m.z for m in own)])
     columns: dict[str, NDArray[Any]] = {
         "t_s": np.repeat([m.t for m in own], counts),
+        **earlier_times(own, sensors, origin),
         "id": np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for m in own)]),
         **dict(zip(sensor.columns, z.T, strict=True)),
     }
@@ -260,6 +285,7 @@ def _tables(
     sensors: Mapping[str, Sensor],
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
+    origin: float,
 ) -> dict[str, Columns]:
     """All tables of a data set, by name."""
     for m in recording.measurements:
@@ -268,16 +294,17 @@ def _tables(
     tables: list[tuple[str, Columns]] = [("epochs", {"t_s": recording.times})]
     for name in (*sensors, *recording.inputs):
         check_name("a table", name, _LONGEST)
-    for name, sensor in sensors.items():
-        tables.append((name, _sensor_columns(name, sensor, recording.measurements)))
+    for name, own in grouped(sensors).items():
+        tables.append((name, _sensor_columns(name, own, recording.measurements, origin)))
     for name, series in recording.inputs.items():
         if name not in inputs:
             raise InputError(f"unknown input {name!r}; known are {', '.join(inputs)}")
         channels = dict(zip(inputs[name], series.values.T, strict=True))
         tables.append((name, {"t_start_s": series.t_start, "t_end_s": series.t_end, **channels}))
     truth = recording.truth or Truth(np.zeros(0), {})
+    copies = {n for s in sensors.values() if isinstance(s, CopiesBlocks) for n in s.copies}
     for name in truth.values:
-        if name in blocks:
+        if name in blocks and name not in copies:
             tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
     names = [name for name, _ in tables]
     for name in names:
@@ -306,18 +333,19 @@ def write_dataset(
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
     tables: Format = "csv",
+    origin: float = 0.0,
 ) -> None:
     """Write a recording and its scenario as a data set; reading gives the same numbers.
 
     blocks: definitions of the blocks of the truth; a true quantity without one is left out,
-    since its units are not known. tables: format of the tables. A data set that stands in
-    `folder` is replaced. Raises InputError when other files stand there, when nothing can be
-    written, or when the recording has a sensor or an input that is not known.
+    since its units are not known. tables: format of the tables; origin: see `read_dataset`. A data
+    set that stands in `folder` is replaced. Raises InputError when other files stand there, when
+    nothing can be written, or when the recording has a sensor or an input that is not known.
     """
     folder = Path(folder)
     if folder.is_dir() and any(folder.iterdir()) and not _is_dataset(folder):
         raise InputError(f"{folder}: holds files that are not of a data set; name another folder")
-    contents = _tables(recording, sensors, inputs, blocks)
+    contents = _tables(recording, sensors, inputs, blocks, origin)
     settings = dict(recording.settings)
     with atomic(folder) as staged:
         staged.mkdir()

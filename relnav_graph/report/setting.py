@@ -8,6 +8,7 @@ from typing import Any
 
 import tomli_w
 
+from relnav_graph.core.copies import closure_of
 from relnav_graph.report.cells import Cell, Table
 from relnav_graph.report.figures import plain
 from relnav_graph.scenario.scenario import Scenario
@@ -52,7 +53,9 @@ def models(scenario: Scenario) -> Table:
         ("sensor", "sensors", scenario.sensors),
     ):
         for name, model in found.items():
-            body.append(_model(what, name, model, scenario.raw[section][name]))
+            closure = closure_of(name, model)  # one of those that a table stands for, or none
+            table = name if closure is None else closure[0]
+            body.append(_model(what, name, model, scenario.raw[section].get(table, {})))
     return Table(_HEAD, body, 5)
 
 

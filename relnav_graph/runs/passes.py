@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from relnav_graph.core.copies import with_true_copies
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
@@ -69,7 +70,7 @@ def open_dataset(folder: Path, assignments: Sequence[str] = (), trust: bool = Fa
     """
     _need_folder(folder)
     raw = override(read_scenario_of(folder, trust), assignments)
-    scenario = make_scenario(raw, folder.resolve().name, read_settings_of(folder), trust)
+    scenario = make_scenario(raw, folder.resolve().name, read_settings_of(folder, raw), trust)
     return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
 
 
@@ -113,7 +114,7 @@ def open_pass(
         folder = Path(data)
         _need_folder(folder)
         if is_dataset(folder):
-            own = made(read_settings_of(folder))
+            own = made(read_settings_of(folder, raw))
             return Pass(own, _recorded(own, folder), root_of(own), False, run)
         recording = _read_folder(where, raw, folder)
     own = made(recording.settings)
@@ -136,8 +137,12 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     layout, time = scenario.layout, scenario.file.time
     blocks = {b.name: b for b in layout}
     models = scenario.sensors, scenario.input_columns
-    found = read_dataset(folder, *models, blocks, time.tolerance, layout.statics)
-    return found.shifted(-time.origin)
+    found = read_dataset(
+        folder, *models, blocks, time.tolerance, layout.statics, origin=time.origin
+    ).shifted(-time.origin)
+    if found.truth is None:
+        return found
+    return replace(found, truth=with_true_copies(found.truth, scenario.sensors))
 
 
 def _need_folder(folder: Path) -> None:

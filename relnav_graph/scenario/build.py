@@ -12,6 +12,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
+from relnav_graph.core.copies import with_copiers
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.problem import check_orbits, layout_of
 from relnav_graph.core.state import Layout
@@ -20,6 +21,7 @@ from relnav_graph.errors import InputError, ModelError
 from relnav_graph.estimators import find_estimator
 from relnav_graph.files import check_name, printable
 from relnav_graph.memory import check_room
+from relnav_graph.scenario.closures import at_keyframes, copy_priors
 from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior, true_statics
 from relnav_graph.scenario.scenario import Scenario, freed
@@ -181,19 +183,24 @@ def make_scenario(
             if not isinstance(table, Mapping):
                 continue  # reported above
             own = shared_orbit(models.ENTRY_POINTS, table, orbit)
+            several = {key: own}
             if section == "sensors":
-                own = named_mount(own, key)
                 general = {k: own.pop(k) for k in SensorOptions.model_fields if k in own}
+                time = merged.get("time")
+                several = at_keyframes(key, named_mount(own, key), time, problems)
                 try:
-                    options[key] = SensorOptions.model_validate(general)
+                    options |= dict.fromkeys(several, SensorOptions.model_validate(general))
                 except ValidationError as error:
                     problems += from_pydantic(path, error)
-            model = make_kind(models.ENTRY_POINTS, path, own, problems)
-            contract = Dynamics if section == "processes" else Sensor
-            if model is not None and not isinstance(model, contract):
-                problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
-                model = None
-            found[key] = model
+            for each, one in several.items():
+                model = make_kind(models.ENTRY_POINTS, path, one, problems)
+                contract = Dynamics if section == "processes" else Sensor
+                if model is not None and not isinstance(model, contract):
+                    problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
+                    model = None
+                found[each] = model
+                if model is None:
+                    break  # what is wrong with one keyframe is wrong with all
     truth, inputs = _make_truth(merged, orbit, problems)
     control = _make_control(merged, orbit, truth, problems)
     if waiting:
@@ -207,12 +214,17 @@ def make_scenario(
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
+            sensors = with_copiers(sensors)
             layout = layout_of(made["processes"], sensors)
             check_orbits(made["processes"], sensors)
             every = layout_of(made["processes"], freed(sensors))
         except (ModelError, InputError) as error:
             problems.append(("", str(error)))
     if file is not None and layout is not None:
+        made["sensors"] |= sensors
+        options |= {key: SensorOptions() for key in sensors if key not in options}
+        priors = copy_priors(sensors, layout) | file.prior
+        file = file.model_copy(update={"prior": priors})
         check_prior(layout, file, problems, every)
         statics = true_statics(every, (file.truth or {}).get("statics", {}), problems)
         _check_inputs(made["processes"], file, inputs, problems)
@@ -222,7 +234,7 @@ def make_scenario(
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
     compile_ahead(
-        [model.kernel for model in made["sensors"].values()],
+        list({model.kernel: 0 for model in made["sensors"].values()}),
         [model.kernel for model in made["processes"].values()],
     )
     return Scenario(

@@ -17,6 +17,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import ProposesStarts
+from relnav_graph.core.copies import without_copies
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
@@ -157,7 +158,8 @@ def hypotheses(problem: Problem, names: Sequence[str]) -> list[Hypothesis]:
     Raises EstimationError, naming what is missing, when there is no sensor that can tell, or
     when it does not see enough.
     """
-    layout, epoch = problem.layout, problem.epochs[0]
+    # Copies have no values yet: they would draw what they copy to their priors.
+    layout, epoch = problem.layout, without_copies(problem.epochs[0], problem.sensors)
     able = [n for n, s in problem.sensors.items() if isinstance(s, ProposesStarts)]
     starts = list(_starts(problem, epoch, names))
     if not starts:

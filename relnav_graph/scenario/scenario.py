@@ -11,9 +11,10 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution, orbit_cautions
-from relnav_graph.core.contracts import Dynamics, Mountable, Sensor
+from relnav_graph.core.contracts import CopiesBlocks, Dynamics, Mountable, Sensor
+from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
 from relnav_graph.core.epochs import Epoch, make_epochs
-from relnav_graph.core.measurement import Bridge
+from relnav_graph.core.measurement import SAME_TIME, Bridge
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth
@@ -79,8 +80,14 @@ class Scenario:
 
     @property
     def timings(self) -> dict[str, Timing]:
-        """How each sensor measures when it is simulated."""
-        return {name: o.timing() for name, o in self.options.items()}
+        """How each sensor measures when it is simulated: one that closes loops to a keyframe, after
+        it."""
+        out = {name: o.timing() for name, o in self.options.items()}
+        for name, sensor in self.sensors.items():
+            if (closure := closure_of(name, sensor)) is not None:
+                begin = max(out[name].begin, closure[1] + 2 * SAME_TIME)
+                out[name] = replace(out[name], begin=begin)
+        return out
 
     @property
     def input_columns(self) -> dict[str, tuple[str, ...]]:
@@ -122,11 +129,13 @@ class Scenario:
 
     @property
     def true_sensors(self) -> dict[str, Sensor]:
-        """The sensors as they are simulated: mounted as `statics` says, where it does."""
+        """The sensors that measure, as they are simulated: mounted as `statics` says, where it
+        does."""
         free, known = freed(self.sensors), self.statics
         return {
             name: free[name] if any(b.name in known for b in free[name].reads) else sensor
             for name, sensor in self.sensors.items()
+            if not isinstance(sensor, CopiesBlocks)
         }
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
@@ -160,8 +169,8 @@ class Scenario:
         Raises InputError when there is no truth, or none of what a sensor reads.
         """
         truth = recording.truth
-        if truth is not None and self.statics:
-            truth = with_statics(truth, self.statics)
+        if truth is not None:
+            truth = with_true_copies(with_statics(truth, self.statics), self.sensors)
             recording = replace(recording, truth=self._scored(truth))
         names = self.file.data.simulate if self.file.data is not None else []
         if not names:
@@ -181,9 +190,9 @@ class Scenario:
     def problem(self, recording: Recording, seed: int, run: int = 0) -> Problem:
         """The problem of a recording, with the scenario's prior.
 
-        Raises InputError when the prior asks for a truth that is not known, or when the
-        first measurements fit it in another unit only; EstimationError when it is to be
-        measured and cannot be.
+        Raises InputError when the prior asks for a truth that is not known, when there is no epoch
+        to close a loop to, or when the first measurements fit it in another unit only;
+        EstimationError when it is to be measured and cannot be.
         """
         check_step(recording.times, self.file.time.step)
         bridges = self.bridges
@@ -196,6 +205,9 @@ class Scenario:
             self.file.time.tolerance,
         )
         problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
+        made = {m.sensor: 1 for e in problem.epochs for m in e.measurements}
+        for epoch in problem.epochs if copiers(self.sensors) else ():
+            check_copied(epoch, self.sensors, made)
         if self.measured:
             problem = replace(problem, prior=initialise(problem, self.measured))
         prior = problem.prior

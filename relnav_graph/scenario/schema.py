@@ -206,6 +206,10 @@ class ScenarioFile(BaseModel):
     evaluate: the part of the pass that is scored, each end a fraction of it or a time
     with its unit.
 
+    A sensor that compares two epochs (odometry) and has `keyframes`, a list of times or a period,
+    s, closes loops: it compares an epoch with any of these earlier ones, which are copied as they
+    come. In a data set, a table with a column t_from_s says them.
+
     truth.statics: true values of static blocks (a mounting, a constant), by name, as the means of
     a prior are given; what the truth itself gives needs none. For recorded data it may stand alone.
     With mounting = "known", the blocks that "estimated" would have: the sensor is simulated with

@@ -10,6 +10,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.copies import with_true_copies
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
 from relnav_graph.core.track import Recording, Truth
@@ -119,5 +120,5 @@ def simulate(
                 f"truth: {name} is not finite at t = {t} s, expected numbers that can be integrated"
                 " (too large, or in another unit?)"
             )
-    truth = Truth(truth.t, known, truth.source)
+    truth = with_true_copies(Truth(truth.t, known, truth.source), sensors)
     return Recording(times, measure_all(sensors, timings, truth, seed, run), series, truth)

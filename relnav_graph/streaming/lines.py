@@ -15,7 +15,8 @@ first, w >= 0. In come, in any order,
   gives means at time `t` for blocks that the scenario has drawn about the truth, `settings`
   what a recording brings for the scenario (camera constants, points): data, which never name
   a module.
-- A *measurement*: what a sensor saw at its time of validity t, a row of `z` for each id.
+- A *measurement*: what a sensor saw at its time of validity t, a row of `z` for each id. A loop
+  closure has the time of the earlier epoch, one of the sensor's keyframes, as `t_from`.
 - An *input*: the mean of a known input over [t_start, t_end].
 - An *epoch*: an estimate is wanted at a time at which nothing was measured.
 - `t_arrival`: when it became known, on the same clock; without it, at its own time.
@@ -79,7 +80,8 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 from pydantic_core import from_json
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.contracts import CopiesBlocks, Sensor
+from relnav_graph.core.copies import closure_name
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.state import UNIT_QUATERNION, Layout
 from relnav_graph.errors import InputError, RelnavError
@@ -169,6 +171,7 @@ class _HeaderLine(_Line):
 class _MeasurementLine(_Line):
     sensor: str
     t: float
+    t_from: float | None = None
     id: _List[Annotated[int, Field(ge=-(2**63), lt=2**63)]]
     z: _List[_List[float]]
 
@@ -215,20 +218,22 @@ def _header(line: _HeaderLine) -> Header:
 
 
 def _measurement(line: _MeasurementLine, sensors: Mapping[str, Sensor]) -> Measurement:
-    if line.sensor not in sensors:
-        raise InputError(f"unknown sensor {line.sensor!r}; the scenario has {list(sensors)}")
+    name = line.sensor if line.t_from is None else closure_name(line.sensor, line.t_from)
+    if name not in sensors or isinstance(sensors[name], CopiesBlocks):
+        known = [n for n, s in sensors.items() if not isinstance(s, CopiesBlocks)]
+        raise InputError(f"unknown sensor {name!r}; the scenario has {known}")
     widths = {len(row) for row in line.z}
-    columns = sensors[line.sensor].columns
+    columns = sensors[name].columns
     if widths != {len(columns)}:
         raise InputError(f"found rows of z with {sorted(widths)} numbers, expected {columns}")
     ids = np.array(line.id, dtype=np.int64)
     if len(set(line.id)) < len(ids):
         raise InputError(f"found ids {line.id}, expected each one once")
-    m = Measurement(line.sensor, line.t, np.array(line.z), ids, line.t_arrival)
+    m = Measurement(name, line.t, np.array(line.z), ids, line.t_arrival)
     _check_values("z", m.z)
     try:
-        sensors[line.sensor].accept(m.z)
-        sensors[line.sensor].observation_data(m.ids)
+        sensors[name].accept(m.z)
+        sensors[name].observation_data(m.ids)
     except RelnavError:
         raise
     except Exception as error:  # a model's, which must not end the stream
@@ -279,7 +284,7 @@ def _named(raw: Mapping[str, Any], origin: float) -> tuple[str | None, float | N
 
 def _since(origin: float, line: _Line) -> _Line:
     """The line with its times counted from `origin`, s."""
-    times = ("t", "t_start", "t_end", "epoch", "t_arrival") if origin else ()
+    times = ("t", "t_from", "t_start", "t_end", "epoch", "t_arrival") if origin else ()
     found = {name: getattr(line, name, None) for name in times}
     return line.model_copy(update={n: t - origin for n, t in found.items() if t is not None})
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
+from relnav_graph.core.copies import uncopied
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.models import derived_quantities
@@ -249,6 +250,11 @@ class Session:
             out += self._estimate(WaitingEpoch(e.t, e.t, list(e.measurements)))
         return out
 
+    @property
+    def _used(self) -> dict[str, int]:
+        """How many observations of each sensor were used."""
+        return {name: n["used"] for name, n in self.online.totals.items()}
+
     def _estimate(self, epoch: WaitingEpoch) -> list[LineOut]:
         if self._beginning is not None:
             return self._begin(epoch, self._beginning)
@@ -260,7 +266,8 @@ class Session:
                 inputs = {} if now is None else self._since(now, epoch.t)
                 first = self.online, self._fits, measurements, epoch.t, inputs
                 check_inputs(*first)
-                for m, reason in misfits(*first):
+                lacking = uncopied(measurements, self.problem.sensors, self._used)
+                for m, reason in [*lacking, *misfits(*first)]:
                     self._refuse(WaitingEpoch(m.t, m.t, [m]), reason)
                     measurements = tuple(other for other in measurements if other is not m)
                 found = self.online.step(Epoch(epoch.t, measurements, inputs))

@@ -35,6 +35,7 @@ from relnav_factors.sensors.earth_sensor import EarthSensor
 from relnav_factors.sensors.gps_position import GpsPosition
 from relnav_factors.sensors.gps_pseudorange import GpsPseudorange
 from relnav_factors.sensors.laser_range_angles import LaserRangeAngles
+from relnav_factors.sensors.pose_copy import PoseCopy
 from relnav_factors.sensors.pose_odometry import PoseOdometry
 from relnav_factors.sensors.star_tracker import StarTracker
 from relnav_factors.sensors.stereo_point import StereoPoint, StereoPointCartesian
@@ -230,6 +231,7 @@ def constant_velocity(**options: Any) -> DynamicsExample:
 _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "attitude_odometry": (
         attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01))),
+        attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01), keyframe=2.0, pose="target")),
         attitude_sensor(
             AttitudeOdometry(
                 sigma=np.array([0.01, 0.02, 0.03]),
@@ -271,10 +273,16 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
             )
         ),
     ),
+    "pose_copy": (
+        attitude_sensor(PoseCopy(keyframe=12.5), relative_position=1.0),
+        attitude_sensor(PoseCopy(keyframe=0.0, pose="target", position_sigma=1e-3)),
+        attitude_sensor(PoseCopy(keyframe=3.0, parts="attitudes", attitude_sigma=1e-3)),
+    ),
     "pose_odometry": (
         odometry(scene_centre=np.array([2.0, 0.1, -0.3])),
         odometry(pose="target", scene_centre=np.array([2.0, 0.1, -0.3]), **MOUNTED),
         odometry(**MOUNTED),
+        odometry(keyframe=30.0),
     ),
     "stereo_point": (
         point_sensor(stereo()),

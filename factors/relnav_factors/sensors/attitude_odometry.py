@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from relnav_factors.derived.relative_pose import relative_attitude
-from relnav_factors.dynamics.previous_pose import previous_blocks
+from relnav_factors.sensors.pose_copy import PoseCopy, copier_of, earlier_blocks
 from relnav_factors.shared.attitude import AttitudeSensor, attitude_residual
 from relnav_factors.shared.mounting import mounting_of, without_mounting
 from relnav_factors.shared.points import Pose, pose_blocks
@@ -16,6 +16,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
+from relnav_graph.units import Quantity
 
 
 @jit
@@ -80,19 +81,25 @@ class AttitudeOdometry(AttitudeSensor):
 
     z = R_s-s = R_cs^T R_tc-^T R_tc R_cs: what a front end that knows no points gives, from
     matching what it sees with what it saw (Setterfield et al. 2018). The earlier attitude
-    comes from `PreviousPose`.
+    comes from `PreviousPose`, or from a `PoseCopy`.
 
-    pose: how the attitudes stand in the state.
+    pose: how the attitudes stand in the state; keyframe: s, the earlier epoch of a loop closure,
+    None: that of `PreviousPose`.
     """
 
     kind: ClassVar[str] = "attitude_odometry"
     kernel = staticmethod(kernel)
 
     pose: Pose = "orbital"
+    keyframe: Annotated[float, Quantity("s")] | None = None
+
+    def copier(self) -> PoseCopy:
+        """The sensor that copies the attitudes at the keyframe. Raises InputError without one."""
+        return copier_of(self.kind, self.pose, self.keyframe, "attitudes")
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        both = *previous_blocks(self.pose)[:-1], *pose_blocks(self.pose)[:-1]
+        both = *earlier_blocks(self.pose, self.keyframe)[:-1], *pose_blocks(self.pose)[:-1]
         return *both, *self.mounting_blocks
 
     def attitude(self, *x: Array) -> Array:

@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.dynamics.previous_pose import previous_blocks
 from relnav_factors.sensors.attitude_odometry import turn_between
+from relnav_factors.sensors.pose_copy import PoseCopy, copier_of, earlier_blocks
 from relnav_factors.shared.attitude import QUATERNION, attitude_residual, turned, unit_quaternions
 from relnav_factors.shared.mounting import PlacedSensor, mounting_of, without_mounting
 from relnav_factors.shared.points import Pose, point_seen, pose_blocks
@@ -87,15 +87,17 @@ class PoseOdometry(PlacedSensor):
 
     z = (r, q_wxyz): r = R_cs^T R_tc-^T (p - p-) with p = r_tc_t + R_tc r_sc_c, the present
     place of the sensor in its axes of before, and R_s-s = R_cs^T R_tc-^T R_tc R_cs. As the
-    point-cloud odometry of Setterfield et al. 2018, without its loop closures. The earlier
-    pose comes from `PreviousPose`.
+    point-cloud odometry of Setterfield et al. 2018, and its loop closures. The earlier pose comes
+    from `PreviousPose`, or from a `PoseCopy`.
 
     A cloud of points is aligned about its own centre, so errors of the turn move the sensor
     as if it swung about the scene. scene_centre: that centre in sensor axes, m; zero makes
     the errors of r and of the turn independent. position_sigma: m, of where the centre was,
     attitude_sigma: rad, of the turn, about the present sensor axes; one for all or one each.
     sensor_attitude: R_cs; sensor_position: r_sc_c, m. pose: how the poses stand in the
-    state. Raises InputError when R_cs is not a rotation within 1e-6.
+    state; keyframe: s, the earlier epoch of a loop closure, None: that of `PreviousPose`.
+    largest_turn: rad, of a simulated front end, which recognises nothing after a larger one.
+    Raises InputError when R_cs is not a rotation within 1e-6.
     """
 
     kind: ClassVar[str] = "pose_odometry"
@@ -107,13 +109,26 @@ class PoseOdometry(PlacedSensor):
     attitude_sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
     scene_centre: Annotated[Array, Quantity("m", (3,))] = field(default_factory=lambda: np.zeros(3))
     pose: Pose = "orbital"
+    keyframe: Annotated[float, Quantity("s")] | None = None
+    largest_turn: Annotated[float, Quantity("rad", positive=True)] = np.pi
+
+    def copier(self) -> PoseCopy:
+        """The sensor that copies the pose at the keyframe. Raises InputError without one."""
+        return copier_of(self.kind, self.pose, self.keyframe, "pose")
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return *previous_blocks(self.pose), *pose_blocks(self.pose), *self.mounting_blocks
+        both = *earlier_blocks(self.pose, self.keyframe), *pose_blocks(self.pose)
+        return *both, *self.mounting_blocks
 
     def constants(self) -> Array:
         return np.concatenate([super().constants(), self.scene_centre])
+
+    def in_view(self, ids: Indices, *x: Array) -> Indices:
+        """All, unless the sensor has turned too far since the earlier epoch."""
+        packed = np.concatenate([np.ravel(value) for value in x])
+        turn = so3.log(pose_between(self.constants(), packed)[0])
+        return ids if dense.norm(turn) <= self.largest_turn else ids[:0]
 
     def accept(self, z: Array) -> Array:
         """r (m) and unit quaternions, (k, 7).

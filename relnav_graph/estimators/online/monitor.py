@@ -45,12 +45,14 @@ MEAN = 8
 class Monitor:
     """Running averages by sensor; immutable: `after` gives the next one.
 
-    table (sensors, 8 + rows): see the columns above; the mean comes last.
+    table (sensors, 8 + rows): see the columns above; the mean comes last. rare: sensors of
+    loop closures, whose silence tells nothing.
     """
 
     names: tuple[str, ...]
     rows: tuple[int, ...]
     table: Array
+    rare: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, sensors: Mapping[str, Sensor], table: Array | None = None) -> Monitor:
@@ -59,7 +61,8 @@ class Monitor:
         if table is None:
             table = np.zeros((len(rows), MEAN + max(rows, default=0)))
             table[:, [LAST, PERIOD]] = np.nan
-        return cls(tuple(sensors), rows, table)
+        rare = frozenset(n for n, s in sensors.items() if getattr(s, "keyframe", None) is not None)
+        return cls(tuple(sensors), rows, table, rare)
 
     def after(self, t: float, done: FilterSweep) -> Monitor:
         """With what a filter made of one epoch."""
@@ -69,7 +72,8 @@ class Monitor:
             if not own.any():
                 continue
             weights, row = done.weights[own], table[i]
-            _seen_at(row, t)
+            if name not in self.rare:
+                _seen_at(row, t)
             row[REJECTED] += (weights == 0).sum()
             row[DOWNWEIGHTED] += ((weights > 0) & (weights < 1)).sum()
             row[OUT] += WEIGHT * ((weights == 0).mean() - row[OUT])

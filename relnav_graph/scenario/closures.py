@@ -1,0 +1,81 @@
+"""Tables of sensors that close loops: one sensor for each of their keyframes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.core import models
+from relnav_graph.core.contracts import CopiesBlocks, Sensor
+from relnav_graph.core.copies import closure_name
+from relnav_graph.core.state import Layout
+from relnav_graph.errors import InputError, ModelError
+from relnav_graph.registry import find_class
+from relnav_graph.scenario.schema import BlockPrior, Problems
+from relnav_graph.units import Quantity, parse_quantity
+
+__all__ = ["at_keyframes", "copy_priors"]
+
+#: Prior sigmas of copies: so wide that nothing is felt of them, of an attitude, rad, and of other
+#: blocks, SI.
+_ATTITUDE, _OTHER = 100.0, 1e5
+
+
+def _expanded(value: Any, time: Any) -> list[float]:
+    """Keyframes, s: those listed, or every period of a pass of [time] step and epochs.
+
+    Raises InputError on anything else.
+    """
+    if isinstance(value, list):
+        found = [float(t) for t in Quantity("s", (None,)).parse(value)]
+    else:
+        period = Quantity("s", positive=True).parse(value)
+        known = time if isinstance(time, Mapping) else {}
+        if not isinstance(known.get("epochs"), int) or "step" not in known:
+            raise InputError(
+                f"found the period {value!r}, which needs the [time] step and epochs of the pass;"
+                " expected a list of times"
+            )
+        last = parse_quantity(known["step"], "s") * (known["epochs"] - 1)
+        found = (period * np.arange(int(last / period + 1e-9) + 1)).tolist()
+    if not found or len(set(found)) < len(found):
+        raise InputError(f"found {value!r}, expected one time or more, each once")
+    return found
+
+
+def at_keyframes(
+    name: str, table: Mapping[str, Any], time: Any, problems: Problems
+) -> dict[str, dict[str, Any]]:
+    """The tables, by name, of the sensors that one table stands for: one for each of its
+    `keyframes`, where it has them and its model a `keyframe`; else the table as it is.
+
+    time: the [time] of the scenario; `problems` collects what is wrong.
+    """
+    own = dict(table)
+    try:
+        cls = find_class(models.ENTRY_POINTS, str(own.get("kind")))
+    except ModelError:
+        return {name: own}  # reported elsewhere
+    fields = dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ()
+    if "keyframes" not in own or "keyframe" not in {f.name for f in fields}:
+        return {name: own}
+    try:
+        times = _expanded(own.pop("keyframes"), time)
+    except InputError as error:
+        problems.append((f"sensors.{name}.keyframes", str(error)))
+        return {}
+    return {closure_name(name, t): {**own, "keyframe": t} for t in times}
+
+
+def copy_priors(sensors: Mapping[str, Sensor], layout: Layout) -> dict[str, BlockPrior]:
+    """Priors of the copies that sensors make, which nobody need write: as good as none."""
+    names = [n for s in sensors.values() if isinstance(s, CopiesBlocks) for n in s.copies]
+    out = {}
+    for name in names:
+        block = layout.block(name)
+        sigma = _ATTITUDE if block.manifold == "SO3" else _OTHER
+        out[name] = BlockPrior(sigma=sigma, mean=[0.0] * block.dim)
+    return out
