@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parent))
-from benchmarks import batch, online, others, start
+from benchmarks import batch, border, online, others, start
 from benchmarks.passes import first, pass_of, problem_of
 
 LENGTHS = (1_000, 10_000, 100_000)
@@ -136,6 +136,8 @@ def main(
     naive: int = 2_000,
     side: int = 1_000,
     cold: bool = True,
+    mapped: tuple[int, int, int] = (600, 1_000, 5_000),
+    points: tuple[int, ...] = (20, 50, 130),
 ) -> dict[str, Any]:
     """All rows; the sizes are those of the published figures unless given."""
     with threadpool_limits(1, "blas"):
@@ -144,6 +146,7 @@ def main(
         rows, per_epoch = measure_batch(problem, lengths, lm, quick)
         incremental, took = measure_incremental(problem, steps, naive)
         table = measure_online(first(problem, side))
+        border_rows = border.measure(say, points, mapped, 0 if quick else 3_000)
         fixed_lag: dict[str, Any] = {"growth": None, "p99_over_median": None}
         each = {"incremental": took}
         if not quick:
@@ -158,6 +161,7 @@ def main(
         "incremental": incremental,
         "fixed_lag": fixed_lag,
         "online": table,
+        "statics": border_rows,
         "start": {"help_s": start.help_time(), "first_compile_s": first_compile},
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -88,24 +88,39 @@ def elimination(epochs: int, points: int, rounds: int = 5) -> dict[str, float]:
     took: Array = np.array([[seconds(run) for run in runs] for _ in range(rounds + 1)])[1:]
     ours = 1e6 * np.median(took[:, 0] - took[:, 1]) / epochs
     floor, gtsams = 1e6 * np.median(took[:, 2:], axis=0) / epochs
-    return {"m": layout.statics.dim, "us": ours, "floor_us": floor, "gtsam_us": gtsams}
+    return {
+        "m": layout.statics.dim,
+        "us": float(ours),
+        "floor_us": float(floor),
+        "gtsam_us": float(gtsams),
+    }
 
 
-def measure(say: Callable[[str], None], quick: bool) -> dict[str, Any]:
-    """The rows of static blocks."""
+def measure(
+    say: Callable[[str], None], points: Sequence[int], lengths: tuple[int, int, int], steps: int
+) -> dict[str, Any]:
+    """The rows of static blocks.
+
+    points: numbers of unknown points; lengths: of the passes with each of them, and of the short
+    and the long pass that are compared; steps: of `incremental`, 0 for none.
+    """
     out: dict[str, Any] = {}
-    for points in (20, 50, 130):
-        one = elimination(600, points)
-        out[str(one["m"])] = one | {"floor_ratio": one["us"] / one["floor_us"]}
+    for count in points:
+        one = elimination(lengths[0], count)
+        ratio, m = one["us"] / one["floor_us"], one["m"]
+        out[f"floor_ratio_{m}"], out[f"gtsam_{m}"] = ratio, one["gtsam_us"] / one["us"]
         say(
-            f"{one['m']} static states, 600 epochs: eliminated in {one['us']:.0f} us per epoch,"
-            f" {one['us'] / one['floor_us']:.2f} times LAPACK's floor; GTSAM's COLAMD-QR of the"
-            f" same rows {one['gtsam_us']:.0f} us"
+            f"{m} static states, {lengths[0]} epochs: eliminated in {one['us']:.0f} us per epoch,"
+            f" {ratio:.2f} times LAPACK's floor; GTSAM's COLAMD-QR of the same rows takes"
+            f" {one['gtsam_us']:.0f} us"
         )
-    long, short = (elimination(epochs, 20, 3)["us"] for epochs in ((2000 if quick else 5000), 1000))
-    out["flatness"] = long / short
-    out["incremental_growth"] = None if quick else _growth(3000)
-    say(f"per epoch, a longer pass costs {long / short:.2f} times 1000 epochs; {out}")
+    short, long = (elimination(length, points[0], 3)["us"] for length in lengths[1:])
+    out["flatness"], out["incremental_growth"] = long / short, _growth(steps) if steps else None
+    say(f"{lengths[2]} epochs cost {long / short:.2f} times as much each as {lengths[1]}")
+    if steps:
+        say(
+            f"incremental, {steps} epochs, 150 static states: grows {out['incremental_growth']:.2f}"
+        )
     return out
 
 

@@ -109,13 +109,15 @@ def test_benchmark_compares_everything(tmp_path: Path) -> None:
     """At a tiny size, where the figures mean nothing; that solvers agree does."""
     figure = tmp_path / "cost.png"
     script = _script("benchmark")
-    found = script.main(True, figure, (20, 30), 20, 40, 20, 20, cold=False)
+    sizes = (20, 30), 20, 40, 20, 20
+    found = script.main(True, figure, *sizes, False, (12, 12, 20), (2, 3))
     assert set(script.measure_fixed_lag(script.problem_of(40))[0]) == set(found["fixed_lag"])
-    assert set(found) == {"batch", "incremental", "fixed_lag", "online", "start"}
+    assert set(found) == {"batch", "incremental", "fixed_lag", "online", "statics", "start"}
     assert found["online"]["isam2"]["sigma_from_batch"] < 0.3
     assert found["batch"]["gtsam_own_rows"] > 0
     assert found["batch"]["faster_than"]["gtsam_lm"] > 0  # None unless at the same optimum
     assert found["incremental"]["sigma_from_batch"] < 0.1
+    assert found["statics"]["floor_ratio_6"] > 0
     assert figure.stat().st_size > 1000
     json.dumps(found, allow_nan=False)
 
