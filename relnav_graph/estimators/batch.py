@@ -8,20 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from relnav_graph.core.cautions import Caution
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Status, Track, estimates
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.estimators.gauss_newton import is_small, smoothed, solve_gated
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED
-from relnav_graph.estimators.trust import judge
-from relnav_graph.estimators.weights import (
-    count_downweighted,
-    count_rejected,
-    lost,
-)
+from relnav_graph.estimators.trust import examine, gave_up
 from relnav_graph.maths.losses import Loss
 
 __all__ = ["Batch"]
@@ -53,40 +47,28 @@ class Batch:
         start, seconds = time.perf_counter(), 0.0
         done = _filtered(problem)
         nothing = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
-        found = estimates(problem.layout, *nothing)
-        status: Status = "diverged"
-        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
-        assembly, message, cautions = done.assembly, done.stopped, tuple[Caution, ...]()
-        if not message:
+        ended = estimates(problem.layout, *nothing)
+        assembly, found = done.assembly, gave_up(problem, done.stopped)
+        if not done.stopped:
             try:
                 begin, weights = smooth(done, covariances=False)[0], done.weights
                 del done  # its covariances are as large as all that follows
                 solution = solve_gated(assembly, problem, begin, weights)
                 marginals = solution.conditionals.marginals()
-                found = smoothed(problem.layout, solution.x, marginals)
-                rejected |= count_rejected(assembly, solution.weights)
-                downweighted = count_downweighted(assembly, solution.weights)
-                away = lost(assembly, solution.weights)
-                rows = assembly.rows_of(solution.weights > 0)
-                status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
-                if not is_small(solution.distance, solution.conditionals.states):
-                    status = "degraded"
-                    stopped = f"not converged: last step {solution.distance:.2g} sigma"
-                    message = f"{message}; {stopped}" if message else stopped
+                ended = smoothed(problem.layout, solution.x, marginals)
+                near = is_small(solution.distance, solution.conditionals.states)
+                unconverged = None if near else solution.distance
+                found = examine(problem, assembly, solution.weights, solution.cost, unconverged)
                 seconds = time.perf_counter() - start
-                if status == "ok":
-                    cautions = second_look(assembly, problem.prior, solution, marginals)
+                if found["status"] == "ok":
+                    found["cautions"] = second_look(assembly, problem.prior, solution, marginals)
             except UNSOLVED as error:
-                message = str(error)
+                found = gave_up(problem, str(error))
         return Track(
             name=self.kind,
             kind="smoothed",
             t=problem.times,
-            **found,
-            status=status,
-            message=message,
             runtime_s=seconds or time.perf_counter() - start,
-            rejected=rejected,
-            downweighted=downweighted,
-            cautions=cautions,
+            **ended,
+            **found,
         )

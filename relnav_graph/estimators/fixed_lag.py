@@ -269,18 +269,9 @@ class FixedLag:
                 status, message = judge(away, problem, kept.misfit, kept.used)
             except UNSOLVED as error:
                 message = str(error)
-        found = {"status": status, "message": message}
-        track = done.track(self.kind, **found, **_counts(assembly, kept.first))
-        smoothed = replace(
-            track,
-            name=f"{self.kind}_smoothed",
-            kind="fixed-lag",
-            **estimates(problem.layout, x, P),
-            runtime_s=track.runtime_s + time.perf_counter() - begun,
-            step_s=None,
-            **_counts(assembly, last),
-        )
-        return replace(track, smoothed=smoothed)
+        ended = {"kind": "fixed-lag", **estimates(problem.layout, x, P)} | _counts(assembly, last)
+        found = {"status": status, "message": message} | _counts(assembly, kept.first)
+        return done.tracks(self.kind, ended, time.perf_counter() - begun, **found)
 
 
 @dataclass

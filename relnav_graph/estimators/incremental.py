@@ -21,7 +21,6 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
@@ -30,8 +29,7 @@ from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, fi
 from relnav_graph.estimators.gauss_newton import Solution, smoothed, solve, solve_gated
 from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
-from relnav_graph.estimators.trust import judge
-from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
+from relnav_graph.estimators.trust import examine, gave_up
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals, anchor_of
 from relnav_graph.linear.elimination import linearize
@@ -248,40 +246,18 @@ class Incremental:
         """Estimate epochs as they come."""
         smoother = self.engine(source.problem)
         done, begun = drive(source, smoother), time.perf_counter()
-        problem, status, message = done.problem, "diverged", done.stopped
-        layout = problem.layout
-        found = estimates(layout, np.full_like(done.x, np.nan), np.full_like(done.P, np.nan))
-        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
-        cautions, seconds = tuple[Caution, ...](), 0.0
+        problem, layout, seconds = done.problem, done.problem.layout, 0.0
+        ended = estimates(layout, np.full_like(done.x, np.nan), np.full_like(done.P, np.nan))
+        found = gave_up(problem, done.stopped)
         if not done.stopped:
             try:
                 assembly, solution = smoother.finish()
                 marginals = solution.conditionals.marginals()
-                found = smoothed(layout, solution.x, marginals)
-                rejected |= count_rejected(assembly, solution.weights)
-                downweighted = count_downweighted(assembly, solution.weights)
-                away = lost(assembly, solution.weights)
-                rows = assembly.rows_of(solution.weights > 0)
-                status, message = judge(away, problem, 2 * solution.cost, int(rows.sum()))
+                ended = smoothed(layout, solution.x, marginals)
+                found = examine(problem, assembly, solution.weights, solution.cost, None)
                 seconds = time.perf_counter() - begun
-                if status == "ok":
-                    cautions = second_look(assembly, problem.prior, solution, marginals)
+                if found["status"] == "ok":
+                    found["cautions"] = second_look(assembly, problem.prior, solution, marginals)
             except UNSOLVED as error:
-                message = str(error)
-        track = done.track(
-            self.kind,
-            status=status,
-            message=message,
-            rejected=rejected,
-            downweighted=downweighted,
-            cautions=cautions,
-        )
-        ended = replace(
-            track,
-            name=f"{self.kind}_smoothed",
-            kind="smoothed",
-            **found,
-            runtime_s=track.runtime_s + (seconds or time.perf_counter() - begun),
-            step_s=None,
-        )
-        return replace(track, smoothed=ended)
+                found = gave_up(problem, str(error))
+        return done.tracks(self.kind, ended, seconds or time.perf_counter() - begun, **found)

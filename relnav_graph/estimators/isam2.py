@@ -29,14 +29,14 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Status, Track, estimates
+from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
 from relnav_graph.estimators.gauss_newton import Solution, is_small
 from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
-from relnav_graph.estimators.trust import judge
-from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost, reweighted
+from relnav_graph.estimators.trust import examine, gave_up
+from relnav_graph.estimators.weights import reweighted
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.elimination import linearize
@@ -342,48 +342,23 @@ class Isam2:
             ended[0] = state
 
         done, begun = drive(source, smoother, notice), time.perf_counter()
-        problem, message = done.problem, done.stopped
-        status: Status = "diverged"
-        layout = problem.layout
-        found = estimates(layout, np.full_like(done.x, np.nan), np.full_like(done.P, np.nan))
-        rejected, downweighted = dict.fromkeys(problem.sensors, 0), dict[str, int]()
-        cautions, seconds, mine = tuple[Caution, ...](), 0.0, dict[int, Any]()
+        problem, layout, seconds = done.problem, done.problem.layout, 0.0
+        last = estimates(layout, np.full_like(done.x, np.nan), np.full_like(done.P, np.nan))
+        found = gave_up(problem, done.stopped)
         if not done.stopped:
             try:
                 end = smoother.finish(ended[0])
-                found = {name: getattr(end.track, name) for name in ("x", "P", "statics")}
-                mine = dict(end.track.extra)
-                rejected |= count_rejected(end.assembly, end.weights)
-                downweighted = count_downweighted(end.assembly, end.weights)
-                away = lost(end.assembly, end.weights)
-                rows = end.assembly.rows_of(end.weights > 0)
-                status, message = judge(away, problem, 2 * end.cost, int(rows.sum()))
-                if not is_small(end.distance, end.x.shape[0] * layout.dim):
-                    stopped = f"not converged: last step {end.distance:.2g} sigma"
-                    status, message = "degraded", "; ".join(filter(None, [message, stopped]))
+                last = {name: getattr(end.track, name) for name in ("x", "P", "statics")}
+                near = is_small(end.distance, end.x.shape[0] * layout.dim)
+                unconverged = None if near else end.distance
+                found = examine(problem, end.assembly, end.weights, end.cost, unconverged)
+                found["extra"] = dict(end.track.extra)
                 seconds = time.perf_counter() - begun
-                if status == "ok" and extra is None:
-                    cautions = _second_look(problem, end)
+                if found["status"] == "ok" and extra is None:
+                    found["cautions"] = _second_look(problem, end)
             except UNSOLVED as error:
-                status, message = "diverged", str(error)
-        track = done.track(
-            self.kind,
-            status=status,
-            message=message,
-            rejected=rejected,
-            downweighted=downweighted,
-            cautions=cautions,
-            extra=mine,
-        )
-        smoothed = replace(
-            track,
-            name=f"{self.kind}_smoothed",
-            kind="smoothed",
-            **found,
-            runtime_s=track.runtime_s + (seconds or time.perf_counter() - begun),
-            step_s=None,
-        )
-        return replace(track, smoothed=smoothed)
+                found = gave_up(problem, str(error))
+        return done.tracks(self.kind, last, seconds or time.perf_counter() - begun, **found)
 
 
 def _second_look(problem: Problem, end: _End) -> tuple[Caution, ...]:

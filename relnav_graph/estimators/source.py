@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -111,6 +111,18 @@ class Driven:
             step_s=self.step_s,
             **found,
         )
+
+    def tracks(self, kind: str, ended: Mapping[str, Any], seconds: float, **found: Any) -> Track:
+        """`track`, with the trajectory that it ended with as its `smoothed`.
+
+        ended: what that has of its own, its states and covariances above all; seconds: what it
+        took, s.
+        """
+        track = self.track(kind, **found)
+        own = {"kind": "smoothed", **ended}
+        took = track.runtime_s + seconds
+        smoothed = replace(track, name=f"{kind}_smoothed", runtime_s=took, step_s=None, **own)
+        return replace(track, smoothed=smoothed)
 
 
 def drive(

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status
+from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
+from relnav_graph.linear.assembly import Assembly
 
 #: Mean squared normalised residual, per row, beyond which a track is not to be trusted.
 #: Consistent ones have 1; a lively linearisation error has a few.
@@ -37,3 +41,31 @@ def judge(
             f" expected about 1, at most {TRUSTED:g}"
         )
     return "ok", ""
+
+
+def examine(
+    problem: Problem, assembly: Assembly, weights: Array, cost: float, unconverged: float | None
+) -> dict[str, Any]:
+    """status, message, rejected and downweighted of a track smoothed over a whole pass.
+
+    weights (observations,): square roots of the weights that it ended with; cost: half the sum of
+    squared whitened residuals; unconverged: length of the last step, in sigmas, where it was not
+    small. An estimate that has not converged is degraded.
+    """
+    rows = assembly.rows_of(weights > 0)
+    status, message = judge(lost(assembly, weights), problem, 2 * cost, int(rows.sum()))
+    if unconverged is not None:
+        stopped = f"not converged: last step {unconverged:.2g} sigma"
+        status, message = "degraded", "; ".join(filter(None, [message, stopped]))
+    return {
+        "status": status,
+        "message": message,
+        "rejected": dict.fromkeys(problem.sensors, 0) | count_rejected(assembly, weights),
+        "downweighted": count_downweighted(assembly, weights),
+    }
+
+
+def gave_up(problem: Problem, why: str) -> dict[str, Any]:
+    """The same of an estimator that found no trajectory."""
+    rejected = dict.fromkeys(problem.sensors, 0)
+    return {"status": "diverged", "message": why, "rejected": rejected, "downweighted": {}}
