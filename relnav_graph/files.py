@@ -23,13 +23,18 @@ _KINDS = {
 }
 
 
+def is_name(name: str, longest: int = 48) -> bool:
+    """Whether a sensor, an input, a process or a table may bear a name; see `check_name`."""
+    return bool(_NAME.fullmatch(name)) and len(name) <= longest
+
+
 def check_name(what: str, name: str, longest: int = 48) -> None:
     """Raise InputError unless a sensor, an input, a process or a table may bear a name.
 
     what: of whom, for the message; longest: characters it may have. It is also that of a file,
     which cannot lie outside its folder then, a key in lines of JSON, a label in figures.
     """
-    if not (_NAME.fullmatch(name) and len(name) <= longest):
+    if not is_name(name, longest):
         raise InputError(
             f"found {name[:60]!r} as the name of {what}, expected letters, digits, _ and, not"
             f" first, . + -; {longest} at most"

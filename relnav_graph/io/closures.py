@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.core.contracts import CopiesBlocks, Sensor
+from relnav_graph.core.contracts import CopiesBlocks, ReadsCopies, Sensor
 from relnav_graph.core.copies import closure_of
 from relnav_graph.core.measurement import SAME_TIME, Measurement
+from relnav_graph.core.models import ENTRY_POINTS
+from relnav_graph.files import is_name
 from relnav_graph.io.tabular import Table, read_table
+from relnav_graph.registry import classes, provides
 from relnav_graph.units import parse_quantity
 
 __all__ = ["by_keyframe", "earlier_times", "grouped", "keyframes_in", "of_closures"]
@@ -77,8 +80,12 @@ def keyframes_in(folder: Path, scenario: Mapping[str, Any]) -> dict[str, dict[st
     """
     out: dict[str, dict[str, Any]] = {}
     tables, time = scenario.get("sensors"), scenario.get("time")
+    known = classes(ENTRY_POINTS)  # a kind in a module is somebody's code: not before it is trusted
     for name, own in tables.items() if isinstance(tables, Mapping) else ():
-        if not isinstance(own, Mapping) or "keyframes" in own:
+        if not isinstance(own, Mapping) or "keyframes" in own or not is_name(name):
+            continue
+        cls = known.get(str(own.get("kind")))
+        if cls is None or not provides(cls, ReadsCopies):
             continue
         table = read_table(folder, name)
         if table is not None and "t_from_s" in table.columns:

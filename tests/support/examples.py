@@ -231,7 +231,7 @@ def constant_velocity(**options: Any) -> DynamicsExample:
 _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "attitude_odometry": (
         attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01))),
-        attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01), keyframe=2.0, pose="target")),
+        attitude_sensor(AttitudeOdometry(sigma=np.full(3, 0.01), keyframe=-2.0, pose="target")),
         attitude_sensor(
             AttitudeOdometry(
                 sigma=np.array([0.01, 0.02, 0.03]),
@@ -282,7 +282,7 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         odometry(scene_centre=np.array([2.0, 0.1, -0.3])),
         odometry(pose="target", scene_centre=np.array([2.0, 0.1, -0.3]), **MOUNTED),
         odometry(**MOUNTED),
-        odometry(keyframe=30.0),
+        odometry(keyframe=-30.0),
     ),
     "stereo_point": (
         point_sensor(stereo()),
