@@ -121,6 +121,10 @@ def smooth_long_pass(
     """
     parts = list(_parts(problem, chain(problem.epochs, more), part))
     layout = problem.layout
+    # One value for the pass: where the last part's filter ended, which has seen all of it.
+    for one in parts:
+        one.x[:, layout.moving.size :] = parts[-1].x[-1, layout.moving.size :]
+        one.first[:] = one.x
     states = layout.moving.dim * sum(len(one.x) for one in parts) + layout.statics.dim
     (cost, distance), before = _forward(parts), np.inf
     for _ in range(max_iterations):

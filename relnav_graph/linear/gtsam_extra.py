@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from relnav_graph.arrays import Array
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError
-from relnav_graph.linear.gtsam_graph import Keys
+from relnav_graph.linear.gtsam_graph import Keys, read_any
 
 __all__ = ["Extra", "Piece", "pieces"]
 
@@ -74,8 +75,11 @@ def pieces(extra: Extra, keys: Keys, x: Array, known: gtsam.Values) -> list[Piec
 
     x (size,): a state of all blocks, where factors are tried; known: values of the user's earlier
     variables. Raises InputError, naming the factor and the key, on a key that is unknown, of
-    another type or size; on a value of a block, given twice, or in no factor; on what is no factor.
+    another type or size; on a value that is not finite, of a block, given twice, or in no factor;
+    on a noise model that is none; on what is no factor.
     """
+    if not isinstance(extra, Extra):
+        raise InputError(f"extra: found {type(extra).__name__}, expected an Extra(factors, values)")
     if not isinstance(extra.factors, gtsam.NonlinearFactorGraph) or not isinstance(
         extra.values, gtsam.Values
     ):
@@ -94,6 +98,10 @@ def pieces(extra: Extra, keys: Keys, x: Array, known: gtsam.Values) -> list[Piec
             )
         if known.exists(key):
             raise InputError(f"extra: found a second value of {shown(key)}")
+        if not np.isfinite(numbers := _numbers(read_any(extra.values, key))).all():
+            raise InputError(
+                f"extra: found {numbers} as the value of {shown(key)}, expected finite numbers"
+            )
     factors = [extra.factors.at(i) for i in range(extra.factors.size())]
     trial = gtsam.Values(known)
     trial.insert(extra.values)
@@ -108,6 +116,12 @@ def pieces(extra: Extra, keys: Keys, x: Array, known: gtsam.Values) -> list[Piec
     return [_piece(group, keys, extra.values, new) for group in _together(factors, set(new))]
 
 
+def _numbers(value: Any) -> Array:
+    """The numbers (any shape) in a value of GTSAM's; none where it has no matrix."""
+    found = np.asarray(value.matrix() if hasattr(value, "matrix") else value)
+    return found if found.dtype.kind == "f" else np.zeros(())
+
+
 #: What GTSAM says of a value or noise model of another type or size.
 _MISFIT = ("requested type", "fixed-size", "dimension", "mis-match")
 
@@ -117,6 +131,13 @@ def _check(
 ) -> None:
     """Raise InputError unless a factor fits its variables; adds those of blocks to `values`."""
     own = [int(key) for key in list(factor.keys())]
+    if not own:
+        raise InputError(f"{where}: found no key, expected one or more")
+    noise = factor.noiseModel() if hasattr(factor, "noiseModel") else None
+    if isinstance(noise, gtsam.noiseModel.Diagonal):
+        sigmas = np.asarray(noise.sigmas())
+        if not ((sigmas > 0) | ((sigmas == 0) & noise.isConstrained())).all():
+            raise InputError(f"{where}: found sigmas {sigmas}, expected positive ones")
     for key in own:
         if key in keys and not values.exists(key):
             name, epoch = keys.back(key)
@@ -130,8 +151,8 @@ def _check(
     dims = values.dims()
     for name in ("prior", "measured"):  # GTSAM does not look, and reads beyond what is shorter
         value = getattr(factor, name)() if hasattr(factor, name) else np.zeros(())
-        numbers = np.asarray(value.matrix() if hasattr(value, "matrix") else value)
-        if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
+        numbers = _numbers(value)
+        if not np.isfinite(numbers).all():
             raise InputError(f"{where}: found {name} {numbers}, expected finite numbers")
         for key in own if "Vector" in type(factor).__name__ and numbers.shape else ():
             if numbers.shape != (dims[key],):

@@ -11,6 +11,7 @@ import numpy as np
 from relnav_graph.core import models
 from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.copies import closure_name
+from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.registry import find_class
@@ -39,10 +40,19 @@ def _expanded(value: Any, time: Any) -> list[float]:
                 f"found the period {value!r}, which needs the [time] step and epochs of the pass;"
                 " expected a list of times"
             )
-        last = parse_quantity(known["step"], "s") * (known["epochs"] - 1)
+        step = parse_quantity(known["step"], "s")
+        if period < step * (1 - 1e-9) or abs(period / step - round(period / step)) > 1e-6:
+            raise InputError(
+                f"found the period {period:.15g} s, expected a multiple of the [time] step,"
+                f" {step:.15g} s: keyframes are epochs"
+            )
+        last = step * (known["epochs"] - 1)
         found = (period * np.arange(int(last / period + 1e-9) + 1)).tolist()
     if not found or len(set(found)) < len(found):
         raise InputError(f"found {value!r}, expected one time or more, each once")
+    if (near := np.diff(np.sort(found)) <= SAME_TIME).any():
+        first = np.sort(found)[:-1][near][0]
+        raise InputError(f"found two keyframes at {first:.15g} s, {SAME_TIME} s apart or less")
     return found
 
 
@@ -62,6 +72,11 @@ def at_keyframes(
     fields = dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ()
     if "keyframes" not in own or "keyframe" not in {f.name for f in fields}:
         return {name: own}
+    if "keyframe" in own:
+        problems.append(
+            (f"sensors.{name}.keyframe", "found beside keyframes, expected one of them")
+        )
+        return {}
     try:
         times = _expanded(own.pop("keyframes"), time)
     except InputError as error:

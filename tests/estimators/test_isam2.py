@@ -16,6 +16,7 @@ from extras import MINE, OTHER, at_zero, closure, extra_of, isotropic
 from online_passes import assert_same, driven, fresh, in_sigmas, snapshot, toy
 from passes import EXPERIMENTS, linear_problem, sigmas, toy_measurements, toy_problem
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, InputError
@@ -309,3 +310,39 @@ def test_only_isam2_knows_gtsam() -> None:
     assert named == ["isam2.py"]
     assert Isam2.kind == "isam2"
     assert in_sigmas(toy().layout, driven("isam2", toy()), driven("incremental", toy())) < 0.3
+
+
+def _without_jacobians(this: Any, values: Any, jacobians: Any) -> Array:
+    return np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (lambda key: gtsam.NonlinearFactorGraph(), "found NonlinearFactorGraph, expected an Extra"),
+        (
+            lambda key: extra_of(
+                [gtsam.PriorFactorVector(MINE, *at_zero(3))], {MINE: np.full(3, np.nan)}
+            ),
+            r"found \[nan nan nan\] as the value of L0",
+        ),
+        (
+            lambda key: extra_of([gtsam.PriorFactorVector(key, np.zeros(3), isotropic(3, np.nan))]),
+            "found sigmas .nan nan nan., expected positive",
+        ),
+        (
+            lambda key: extra_of([gtsam.PriorFactorVector(key, np.zeros(3), isotropic(3, 0.0))]),
+            "found sigmas .0. 0. 0.., expected positive",
+        ),
+        (
+            lambda key: extra_of([gtsam.CustomFactor(isotropic(3, 1.0), [], _without_jacobians)]),
+            "found no key",
+        ),
+    ],
+)
+def test_what_no_tree_could_take_is_refused_by_name(
+    given: Callable[[int], Any], message: str
+) -> None:
+    problem = _static()
+    with pytest.raises(InputError, match=message):
+        run_estimator("isam2", problem, given(Keys(problem.layout)["relative_position", 3]))

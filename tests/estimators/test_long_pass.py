@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from passes import ZHANG, differences, sigmas, toy_measurements, toy_problem
+from static_tracks import drifting_pass
 
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators import run_estimator
@@ -38,6 +39,25 @@ def test_parts_give_what_batch_gives(problem: object, part: int) -> None:
     sigma = sigmas(batch.P)
     assert np.abs(differences(whole.layout, batch.x, x) / sigma).max() < 1e-3
     assert np.abs((P - batch.P) / (sigma[:, :, None] * sigma[:, None, :])).max() < 1e-3
+
+
+@pytest.mark.parametrize("part", [1, 5, 11])
+def test_parts_share_the_value_of_a_constant(part: int) -> None:
+    """The filter of each part ends with another value; the parts must not keep theirs."""
+    problem, _ = drifting_pass(epochs=12)
+    batch = run_estimator("batch", problem)
+    sigma = sigmas(batch.covariance("range_drift"))[0]
+    for track in smooth_long_pass(problem, part=part):
+        assert (
+            np.abs(track.value("range_drift") - batch.value("range_drift")[0]) < 1e-3 * sigma
+        ).all()
+        np.testing.assert_allclose(
+            track.covariance("range_drift"),
+            batch.covariance("range_drift")[:1].repeat(len(track.t), 0),
+            rtol=1e-3,
+        )
+        r, rows = track.value("relative_position"), np.searchsorted(batch.t, track.t)
+        assert np.abs(r - batch.value("relative_position")[rows]).max() < 1e-4
 
 
 def test_memory_grows_by_little_more_than_the_trajectory() -> None:

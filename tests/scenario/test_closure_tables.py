@@ -72,12 +72,21 @@ def test_a_table_with_keyframes_is_a_sensor_for_each_and_a_copy() -> None:
         (["1 m"], "found unit 'm', expected one like 's'"),
         (-5.0, "expected a positive value"),
         ("often", "expected a number with a unit like 's'"),
+        ([0, 1e-7], "found two keyframes at 0 s"),
+        ("1 ms", "found the period 0.001 s, expected a multiple of the [time] step, 1 s"),
+        ("1.5 s", "found the period 1.5 s, expected a multiple"),
     ],
 )
 def test_wrong_keyframes_are_named_with_their_path(keyframes: Any, message: str) -> None:
     with pytest.raises(ScenarioError) as raised:
         make_scenario(tables(keyframes=keyframes), "wrong")
     assert message in dict(raised.value.problems)["sensors.closures.keyframes"]
+
+
+def test_a_keyframe_beside_keyframes_is_refused() -> None:
+    with pytest.raises(ScenarioError) as raised:
+        make_scenario(tables(keyframe=3.0), "both")
+    assert "expected one of them" in dict(raised.value.problems)["sensors.closures.keyframe"]
 
 
 def test_a_period_of_keyframes_needs_the_length_of_the_pass() -> None:
