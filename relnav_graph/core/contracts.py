@@ -199,6 +199,7 @@ class CopiesBlocks(Protocol):
     present values of others. It reads the copies, then what they copy, in the same order; z is
     zero."""
 
+    rows: ClassVar[int]
     keyframe: float
     copies: Mapping[str, Block]
     """By the name of the copy, what it copies."""

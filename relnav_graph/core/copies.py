@@ -16,7 +16,7 @@ import numpy as np
 from relnav_graph.core.contracts import CopiesBlocks, ReadsCopies, Sensor
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
-from relnav_graph.core.track import Truth
+from relnav_graph.core.track import Truth, at_all_times
 from relnav_graph.errors import InputError
 
 __all__ = [
@@ -62,12 +62,15 @@ def copiers(sensors: Mapping[str, Sensor]) -> dict[str, CopiesBlocks]:
     return {n: s for n, s in keyed.items() if isinstance(s, CopiesBlocks)}
 
 
-def with_copies(epoch: Epoch, sensors: Mapping[str, Sensor], merge: float) -> Epoch:
-    """An epoch, with the copies that are to be made within `merge`, s, of it."""
+def with_copies(epoch: Epoch, makers: Mapping[str, CopiesBlocks], merge: float) -> Epoch:
+    """An epoch, with the copies that are to be made within `merge`, s, of it.
+
+    makers: the `copiers` of a problem's sensors.
+    """
     there = {m.sensor for m in epoch.measurements}
     made = [
-        Measurement(name, epoch.t, np.zeros((1, sensors[name].rows)), np.zeros(1, np.int64))
-        for name, copier in copiers(sensors).items()
+        Measurement(name, epoch.t, np.zeros((1, copier.rows)), np.zeros(1, np.int64))
+        for name, copier in makers.items()
         if abs(copier.keyframe - epoch.t) <= merge and name not in there
     ]
     return replace(epoch, measurements=(*epoch.measurements, *made)) if made else epoch
@@ -83,7 +86,7 @@ def copied(
     makers = copiers(sensors)
     if not makers or not epochs:
         return tuple(epochs)
-    out = tuple(with_copies(e, sensors, merge) for e in epochs)
+    out = tuple(with_copies(e, makers, merge) for e in epochs)
     made = {m.sensor for e in out for m in e.measurements}
     for name, sensor in makers.items():
         if name not in made and out[0].t - merge <= sensor.keyframe <= out[-1].t + merge:
@@ -107,8 +110,7 @@ def with_true_copies(truth: Truth, sensors: Mapping[str, Sensor]) -> Truth:
         copier = sensor.copier()
         for name, block in copier.copies.items() if isinstance(copier, CopiesBlocks) else ():
             if there[0] and block.name in truth.values:
-                value = truth.values[block.name][rows[0]]
-                values[name] = np.tile(value, (len(truth.t), *[1] * value.ndim))
+                values[name] = at_all_times(truth.values[block.name][rows[0]], len(truth.t))
     return replace(truth, values=values)
 
 
@@ -140,7 +142,9 @@ def uncopied(
     return found
 
 
-def check_copied(epoch: Epoch, sensors: Mapping[str, Sensor], used: Mapping[str, int]) -> None:
+def check_copied(
+    measurements: Iterable[Measurement], sensors: Mapping[str, Sensor], used: Mapping[str, int]
+) -> None:
     """Raise InputError on a closure to an epoch that was not copied; used: see `uncopied`."""
-    for m, reason in uncopied(epoch.measurements, sensors, used):
+    for m, reason in uncopied(measurements, sensors, used):
         raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")

@@ -22,7 +22,9 @@ __all__ = [
     "Status",
     "Track",
     "Truth",
+    "at_all_times",
     "estimates",
+    "estimates_in_parts",
 ]
 
 Kind = Literal["filtered", "fixed-lag", "smoothed"]
@@ -151,12 +153,23 @@ class Track:
 def estimates(layout: Layout, x: Array, P: Array) -> dict[str, Any]:
     """layout, x, P and statics of a track, from states x (N, size) and covariances P (N, n, n) of
     all blocks of a layout."""
-    size, n = layout.moving.size, layout.moving.dim
-    statics = None
-    if layout.statics:
-        statics = Statics(layout.statics, x[:, size:], P[:, n:, n:], P[:, :n, n:])
-        x, P = x[:, :size], P[:, :n, :n]
-    return {"layout": layout.moving, "x": x, "P": P, "statics": statics}
+    n = layout.moving.dim
+    return estimates_in_parts(layout, x, P[:, :n, :n], P[:, n:, n:], P[:, :n, n:])
+
+
+def estimates_in_parts(
+    layout: Layout, x: Array, P: Array, P_s: Array, cross: Array
+) -> dict[str, Any]:
+    """`estimates` from covariances P (N, n, n) of the epochs, P_s (N, m, m) of the static blocks,
+    and cross (N, n, m) of both."""
+    size = layout.moving.size
+    statics = Statics(layout.statics, x[:, size:], P_s, cross) if layout.statics else None
+    return {"layout": layout.moving, "x": x[:, :size], "P": P, "statics": statics}
+
+
+def at_all_times(value: Array, count: int) -> Array:
+    """One value, (3, 3) or (dim,), at so many times: (count, 3, 3) or (count, dim)."""
+    return np.tile(value, (count, *[1] * value.ndim))
 
 
 @dataclass(frozen=True, eq=False)

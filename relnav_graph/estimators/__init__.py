@@ -80,8 +80,7 @@ def run_estimator(kind: str, problem: Problem, extra: Any = None) -> Track:
 
 def _cautious(track: Track, problem: Problem) -> Track:
     """The track, degraded where a process says that its state cannot be told from another."""
-    whole = track.x if track.statics is None else np.hstack([track.x, track.statics.x])
-    for epoch, x in zip(problem.epochs, whole, strict=True):
+    for epoch, x in zip(problem.epochs, track.states, strict=True):
         doubt = caution(problem, epoch, x)
         if doubt:
             message = f"t = {epoch.t} s: {doubt}"

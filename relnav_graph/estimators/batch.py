@@ -11,11 +11,11 @@ import numpy as np
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
-from relnav_graph.estimators.gauss_newton import is_small, smoothed, solve_gated
+from relnav_graph.estimators.gauss_newton import is_small, solve_gated
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.estimators.second_look import second_look
+from relnav_graph.estimators.second_look import conclude
 from relnav_graph.estimators.source import UNSOLVED
-from relnav_graph.estimators.trust import examine, gave_up
+from relnav_graph.estimators.trust import gave_up
 from relnav_graph.maths.losses import Loss
 
 __all__ = ["Batch"]
@@ -54,14 +54,9 @@ class Batch:
                 begin, weights = smooth(done, covariances=False)[0], done.weights
                 del done  # its covariances are as large as all that follows
                 solution = solve_gated(assembly, problem, begin, weights)
-                marginals = solution.conditionals.marginals()
-                ended = smoothed(problem.layout, solution.x, marginals)
                 near = is_small(solution.distance, solution.conditionals.states)
                 unconverged = None if near else solution.distance
-                found = examine(problem, assembly, solution.weights, solution.cost, unconverged)
-                seconds = time.perf_counter() - start
-                if found["status"] == "ok":
-                    found["cautions"] = second_look(assembly, problem.prior, solution, marginals)
+                ended, found, seconds = conclude(problem, assembly, solution, start, unconverged)
             except UNSOLVED as error:
                 found = gave_up(problem, str(error))
         return Track(

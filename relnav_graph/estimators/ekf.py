@@ -167,7 +167,7 @@ def run_filter(
     out = FilterOutput(
         x_predicted=np.zeros((count, size)),
         P_predicted=np.zeros((count, n, n)),
-        F=np.tile(np.diag(np.arange(n) >= moving).astype(np.float64), (kept, 1, 1)),
+        F=np.zeros((kept, n, n)),
         Q=np.zeros((1, moving, moving)),
         x=np.full((count, size), np.nan),
         P=np.full((count, n, n), np.nan),
@@ -175,6 +175,8 @@ def run_filter(
         nis=np.zeros(count),
         used=np.zeros(count, dtype=np.int64),
     )
+    fixed = np.arange(moving, n)  # static states
+    out.F[:, fixed, fixed] = 1.0
     given = FilterInput(
         epoch_offsets=assembly.epoch_offsets,
         row_offsets=assembly.row_offsets,

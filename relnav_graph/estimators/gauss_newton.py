@@ -11,7 +11,7 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
-from relnav_graph.core.track import Statics
+from relnav_graph.core.track import estimates_in_parts
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
 from relnav_graph.estimators.weights import residual_weights, thresholds
 from relnav_graph.linear.assembly import Assembly
@@ -53,12 +53,8 @@ def smoothed(
 ) -> dict[str, Any]:
     """layout, x, P and statics of a smoothed track: states x (K, size) of some epochs, all by
     default, and their covariances."""
-    size, statics = layout.moving.size, None
-    if layout.statics:
-        P = np.broadcast_to(found.statics, (len(x), *found.statics.shape))
-        statics = Statics(layout.statics, x[:, size:], P, found.cross[part])
-        x = x[:, :size]
-    return {"layout": layout.moving, "x": x, "P": found.P[part], "statics": statics}
+    P_s = np.broadcast_to(found.statics, (len(x), *found.statics.shape))
+    return estimates_in_parts(layout, x, found.P[part], P_s, found.cross[part])
 
 
 @dataclass(frozen=True, eq=False)

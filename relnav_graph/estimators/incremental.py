@@ -26,10 +26,11 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
-from relnav_graph.estimators.gauss_newton import Solution, smoothed, solve, solve_gated
-from relnav_graph.estimators.second_look import second_look
+from relnav_graph.estimators.gauss_newton import Solution, solve, solve_gated
+from relnav_graph.estimators.parts import in_order
+from relnav_graph.estimators.second_look import conclude
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
-from relnav_graph.estimators.trust import examine, gave_up
+from relnav_graph.estimators.trust import gave_up
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals, anchor_of
 from relnav_graph.linear.elimination import linearize
@@ -82,11 +83,7 @@ class SmootherState:
 
     def parts(self, count: int | None = None) -> list[_Part]:
         """The newest parts, by default all, in order of time."""
-        out, one = list[_Part](), self.last
-        while one is not None and len(out) != count:
-            out.append(one)
-            one = one.before
-        return out[::-1]
+        return in_order(self.last, count)
 
 
 class IncrementalSmoother:
@@ -252,12 +249,7 @@ class Incremental:
         if not done.stopped:
             try:
                 assembly, solution = smoother.finish()
-                marginals = solution.conditionals.marginals()
-                ended = smoothed(layout, solution.x, marginals)
-                found = examine(problem, assembly, solution.weights, solution.cost, None)
-                seconds = time.perf_counter() - begun
-                if found["status"] == "ok":
-                    found["cautions"] = second_look(assembly, problem.prior, solution, marginals)
+                ended, found, seconds = conclude(problem, assembly, solution, begun)
             except UNSOLVED as error:
                 found = gave_up(problem, str(error))
         return done.tracks(self.kind, ended, seconds or time.perf_counter() - begun, **found)

@@ -33,6 +33,7 @@ from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
 from relnav_graph.estimators.gauss_newton import Solution, is_small
+from relnav_graph.estimators.parts import in_order
 from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import examine, gave_up
@@ -74,11 +75,7 @@ class TreeState:
 
     def parts(self) -> list[Part]:
         """All parts, in order of time."""
-        out, one = list[Part](), self.last
-        while one is not None:
-            out.append(one)
-            one = one.before
-        return out[::-1]
+        return in_order(self.last)
 
 
 class ISAM2Smoother:

@@ -13,20 +13,24 @@ trajectories, as likely as the covariance says that they are not.
 
 from __future__ import annotations
 
+import time
+from typing import Any
+
 import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
-from relnav_graph.core.problem import Prior
+from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError
-from relnav_graph.estimators.gauss_newton import Solution, solve
+from relnav_graph.estimators.gauss_newton import Solution, smoothed, solve
 from relnav_graph.estimators.source import UNSOLVED
+from relnav_graph.estimators.trust import examine
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Marginals, anchor_of
 from relnav_graph.linear.whitening import inverse_cholesky
 
-__all__ = ["SECOND_LOOK", "second_look"]
+__all__ = ["SECOND_LOOK", "conclude", "second_look"]
 
 #: Name of the caution.
 SECOND_LOOK = "bent posterior"
@@ -115,3 +119,25 @@ def _most_moved(layout: Layout, x: Array, P: Array, other: Array) -> str:
     """The block of x (size,) that has moved most, in its sigmas of P (n, n)."""
     d = np.abs(layout.local(x, other)) / np.sqrt(np.diag(P))
     return max((b.name for b in layout), key=lambda name: float(d[layout.tangent(name)].max()))
+
+
+def conclude(
+    problem: Problem,
+    assembly: Assembly,
+    solution: Solution,
+    begun: float,
+    unconverged: float | None = None,
+) -> tuple[dict[str, Any], dict[str, Any], float]:
+    """What a track has of a solution over the whole pass: its states and covariances, as of
+    `smoothed`; its status and what goes with it, as of `examine`, with a second look where it is
+    ok; and how long the estimate took since `begun` (of `time.perf_counter`), s, without that.
+
+    unconverged: see `relnav_graph.estimators.trust.examine`.
+    """
+    marginals = solution.conditionals.marginals()
+    ended = smoothed(problem.layout, solution.x, marginals)
+    found = examine(problem, assembly, solution.weights, solution.cost, unconverged)
+    seconds = time.perf_counter() - begun
+    if found["status"] == "ok":
+        found["cautions"] = second_look(assembly, problem.prior, solution, marginals)
+    return ended, found, seconds

@@ -11,7 +11,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.state import UNIT_QUATERNION, Block, Layout
-from relnav_graph.core.track import Truth
+from relnav_graph.core.track import Truth, at_all_times
 from relnav_graph.io.tabular import Table, component_columns, from_components, read_table
 
 __all__ = ["between", "read_truth"]
@@ -156,7 +156,7 @@ def read_truth(
     values = {}
     for name, (table, known) in found.items():
         if name in statics and len(known) and (known == known[0]).all():
-            values[name] = np.tile(known[0], (len(times), *([1] * (known.ndim - 1))))
+            values[name] = at_all_times(known[0], len(times))
             continue
         values[name] = np.full((len(times), *known.shape[1:]), np.nan)
         values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs)

@@ -125,10 +125,10 @@ def go_back(
     """
     count, n = R.shape[:2]
     P, cross = np.empty_like(R), np.empty((count, n, len(P_b)))
-    P[-1], cross[-1], unit = P_end, cross_end, np.eye(n)
+    P[-1], cross[-1] = P_end, cross_end
     rows, inside = P_b[own], P_b[np.ix_(own, own)]
     for k in range(count - 2, -1, -1):
-        inverse = solve_triangular(R[k], unit, check_finite=False)
+        inverse = inverse_upper(R[k])
         to_next, to_border = inverse @ S[k], inverse @ T[k]
         mixed = to_next @ cross[k + 1][:, own] @ to_border.T
         P[k] = inverse @ inverse.T + to_next @ P[k + 1] @ to_next.T + mixed + mixed.T

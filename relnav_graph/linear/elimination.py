@@ -31,13 +31,10 @@ from relnav_graph.errors import EstimationError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals
 from relnav_graph.linear.segments import LENGTH, MANY, Segmented, eliminate_segments
-from relnav_graph.linear.sweep import CARRIED, FILLED, NEXT, folded, put_rows, sweep
+from relnav_graph.linear.sweep import CARRIED, FILLED, FOLDED, NEXT, folded, put_rows, sweep
 from relnav_graph.maths.dense import SPARE
 
 __all__ = ["System", "linearize"]
-
-#: Rows of the static blocks that are folded into their triangle at once.
-FOLDED = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +77,6 @@ def linearize(
     """
     count, layout = len(x), assembly.layout
     n, m = layout.moving.dim, layout.statics.dim
-    if into is None or isinstance(into, Segmented):
-        into = Conditionals.empty(count, n, m)
     status, cost = np.zeros(assembly.observations, dtype=np.int64), np.zeros(1)
     known, failure = np.zeros((count * keep, n, n + m + 1)), np.zeros(3, dtype=np.int64)
     triangles = np.zeros((count * keep, m + 1, m + 1))
@@ -100,14 +95,13 @@ def linearize(
         triangle[:m, :m], triangle[:m, m] = A[n:, n:], -e[n:]  # what is a triangle already
         at[CARRIED] = n
     if m > MANY and count > 2 * LENGTH and not keep:
-        made = eliminate_segments(
+        into = eliminate_segments(
             *(assembly, x, whiten, weight, moving, a, int(at[CARRIED]), triangle),
             *(status, cost, failure),
         )
-        assembly.check(status)
-        assembly.check_propagated(failure)
-        _check(assembly, made)
-        return System(x, float(cost[0]), status, made, known, triangles)
+        at[NEXT] = count
+    elif into is None or isinstance(into, Segmented):
+        into = Conditionals.empty(count, n, m)
     while at[NEXT] < count and not failure[2]:
         begun = at[NEXT]
         sweep(
@@ -119,9 +113,9 @@ def linearize(
             triangle = folded(triangle, left[: at[FILLED]])
             at[FILLED] = 0
             triangles[begun : at[NEXT] * keep] = triangle
+            into.R_s[:], into.d_s[:] = triangle[:m, :m], triangle[:m, m]
     assembly.check(status)
     assembly.check_propagated(failure)
-    into.R_s[:], into.d_s[:] = triangle[:m, :m], triangle[:m, m]
     _check(assembly, into)
     return System(x, float(cost[0]), status, into, known, triangles)
 

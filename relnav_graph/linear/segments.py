@@ -19,6 +19,7 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals, Marginals, go_back
 from relnav_graph.linear.sweep import (
     FILLED,
+    FOLDED,
     advance,
     close_epoch,
     folded,
@@ -32,8 +33,6 @@ __all__ = ["LENGTH", "MANY", "Segmented", "eliminate_segments"]
 
 #: Epochs of a segment, and the number of static states from which on two levels are faster.
 LENGTH, MANY = 20, 100
-#: Rows of the static blocks that are folded into their triangle at once.
-FOLDED = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,15 +102,6 @@ class Segmented(Conditionals):
         return self.top.last_covariance()
 
 
-def _read(assembly: Assembly, begins: Indices) -> list[Indices]:
-    """The static states that the epochs of each segment read, and the intervals that follow
-    them."""
-    own = []
-    for begin, after in pairwise([*begins, len(assembly.times)]):
-        own.append(assembly.static_columns(int(begin), int(after)))
-    return own
-
-
 def eliminate_segments(
     assembly: Assembly,
     x: Array,
@@ -136,11 +126,12 @@ def eliminate_segments(
     R, S, d = np.zeros((count, n, n)), np.zeros((count - 1, n, n)), np.zeros((count, n))
     known = np.zeros((0, n, n + m + 1))
     top, every = Conditionals.empty(len(begins), n, m), np.arange(m)
-    parts, reads = list[Array](), _read(assembly, begins)
+    spans = list(pairwise([*begins.tolist(), count]))
+    parts, reads = list[Array](), [assembly.static_columns(*span) for span in spans]
     room = max(FOLDED, n + m) + n + m + 1
     a, left, filled = np.zeros((n + m + room, start.shape[1])), np.empty((2 * room, m + 1)), 0
     a[:carried] = start[:carried]
-    for i, (begin, after) in enumerate(pairwise([*begins, count])):
+    for i, (begin, after) in enumerate(spans):
         own = reads[i]
         width = len(own) + n
         height = int(assembly.row_offsets[after] - assembly.row_offsets[begin])
@@ -149,7 +140,7 @@ def eliminate_segments(
         rest, T = np.empty((rows + n, width + 1)), np.zeros((after - begin, n, width))
         sweep(
             *(assembly.tables, assembly.epoch_offsets, assembly.row_offsets),
-            *(assembly.layout.moving.kinds, x, weight, whiten, damping, own, m, 1, int(after)),
+            *(assembly.layout.moving.kinds, x, weight, whiten, damping, own, m, 1, after),
             *(at, one, rest, R, S, T, d, known, status, cost, failure),
         )
         if failure[2]:

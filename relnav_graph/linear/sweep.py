@@ -23,6 +23,7 @@ from relnav_graph.maths.dense import householder
 __all__ = [
     "CARRIED",
     "FILLED",
+    "FOLDED",
     "NEXT",
     "advance",
     "close_epoch",
@@ -35,6 +36,8 @@ __all__ = [
 #: Of a sweep that is under way: the next epoch, how many rows of `a` are known of it, and how many
 #: rows of `left` are filled.
 NEXT, CARRIED, FILLED = 0, 1, 2
+#: Rows of the border that are folded into their triangle at once.
+FOLDED = 512
 
 
 @jit

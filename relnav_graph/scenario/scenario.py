@@ -205,9 +205,9 @@ class Scenario:
             self.file.time.tolerance,
         )
         problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
-        made = {m.sensor: 1 for e in problem.epochs for m in e.measurements}
-        for epoch in problem.epochs if copiers(self.sensors) else ():
-            check_copied(epoch, self.sensors, made)
+        if copiers(self.sensors):
+            seen = [m for epoch in problem.epochs for m in epoch.measurements]
+            check_copied(seen, self.sensors, {m.sensor: 1 for m in seen})
         if self.measured:
             problem = replace(problem, prior=initialise(problem, self.measured))
         prior = problem.prior

@@ -13,7 +13,7 @@ from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.copies import with_true_copies
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
-from relnav_graph.core.track import Recording, Truth
+from relnav_graph.core.track import Recording, Truth, at_all_times
 from relnav_graph.errors import InputError
 from relnav_graph.sim.contracts import ControlledTruth, DrivenTruth, IntervalInstrument, KnownInput
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs, check_samples
@@ -57,7 +57,7 @@ def with_statics(truth: Truth, statics: Mapping[str, Array]) -> Truth:
     for name in statics:
         if name in truth.values:
             raise InputError(f"truth.statics.{name}: found a value, but the truth gives its own")
-    tiled = {n: np.tile(v, (len(truth.t), *[1] * v.ndim)) for n, v in statics.items()}
+    tiled = {name: at_all_times(value, len(truth.t)) for name, value in statics.items()}
     return replace(truth, values={**truth.values, **tiled})
 
 

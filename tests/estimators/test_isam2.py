@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from extras import MINE, OTHER, at_zero, closure, extra_of, isotropic
 from online_passes import assert_same, driven, fresh, in_sigmas, snapshot, toy
-from passes import EXPERIMENTS, linear_problem, sigmas, toy_measurements, toy_problem
+from passes import EXPERIMENTS, linear_problem, sigmas, spoilt_toy
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
@@ -66,14 +66,6 @@ def test_a_linear_pass_is_filtered_exactly(density: float) -> None:
     assert _far(_smoothed(track), run_estimator("rts", problem)) < 1e-6
 
 
-def _spoilt() -> Problem:
-    out = []
-    for m in toy_measurements():
-        wrong = m.sensor == "fix" and int(m.t) % 6 == 3
-        out.append(replace(m, z=m.z + np.array([2.0, -3.0, 1.0])) if wrong else m)
-    return toy_problem(out)
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -83,7 +75,7 @@ def _spoilt() -> Problem:
     ],
 )
 def test_gates_and_losses_are_those_of_batch(changes: dict[str, Any]) -> None:
-    problem = replace(_spoilt(), **changes)
+    problem = replace(spoilt_toy(), **changes)
     track, batch = run_estimator("isam2", problem), run_estimator("batch", problem)
     assert _far(_smoothed(track), batch) < 1e-2
     assert track.rejected == batch.rejected

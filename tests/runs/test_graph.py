@@ -7,7 +7,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from passes import EXPERIMENTS, linear_problem, sigmas, toy_measurements, toy_problem
+from passes import EXPERIMENTS, linear_problem, sigmas, spoilt_toy, toy_measurements, toy_problem
 from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
 
 from relnav_graph.arrays import Array
@@ -80,18 +80,9 @@ def test_uncorrelated_blocks_have_priors_of_their_own() -> None:
     assert to_gtsam(tied, x).factors.size() == factors.size() - blocks + 1
 
 
-def _spoilt() -> Problem:
-    """The toy with fixes that are far out, one in six."""
-    out = []
-    for m in toy_measurements():
-        wrong = m.sensor == "fix" and int(m.t) % 6 == 3
-        out.append(replace(m, z=m.z + np.array([2.0, -3.0, 1.0])) if wrong else m)
-    return toy_problem(out)
-
-
 @pytest.mark.parametrize("kind", ["huber", "cauchy", "dcs", "tukey"])
 def test_losses_by_reweighting_are_those_of_batch(kind: str) -> None:
-    problem = replace(_spoilt(), losses={"fix": Loss(kind)})  # type: ignore[arg-type]
+    problem = replace(spoilt_toy(), losses={"fix": Loss(kind)})  # type: ignore[arg-type]
     graph, values, weights = reweigh(problem)
     batch = run_estimator("batch", problem)
     assert (weights < 1).sum() >= 5
@@ -101,7 +92,7 @@ def test_losses_by_reweighting_are_those_of_batch(kind: str) -> None:
 
 
 def test_gates_by_reweighting_are_those_of_batch() -> None:
-    problem = replace(_spoilt(), gates={"fix": 0.999})
+    problem = replace(spoilt_toy(), gates={"fix": 0.999})
     graph, values, weights = reweigh(problem)
     batch = run_estimator("batch", problem)
     assert (weights == 0).sum() == batch.rejected["fix"] == 5
@@ -111,7 +102,7 @@ def test_gates_by_reweighting_are_those_of_batch() -> None:
 @pytest.mark.parametrize("kind", ["huber", "cauchy"])
 def test_losses_are_gtsams_robust_noise_of_each_observation(kind: str) -> None:
     """The plain graph of a problem with losses is minimised by GTSAM itself."""
-    problem = replace(_spoilt(), losses={"fix": Loss(kind), "ranger": Loss(kind)})  # type: ignore[arg-type]
+    problem = replace(spoilt_toy(), losses={"fix": Loss(kind), "ranger": Loss(kind)})  # type: ignore[arg-type]
     graph = to_gtsam(problem)
     assert graph.factors.size() == len(problem.layout) + 29 * 2 + 30 * (1 + 3)
     track = to_track(problem, graph, levenberg_marquardt(graph))

@@ -58,6 +58,15 @@ def toy_problem(measurements: list[Measurement], **changes: Any) -> Problem:
     return replace(Problem(PROCESSES, SENSORS, PRIOR, epochs), **changes)
 
 
+def spoilt_toy() -> Problem:
+    """The toy with fixes that are far out, one in six."""
+    out = []
+    for m in toy_measurements():
+        wrong = m.sensor == "fix" and int(m.t) % 6 == 3
+        out.append(replace(m, z=m.z + np.array([2.0, -3.0, 1.0])) if wrong else m)
+    return toy_problem(out)
+
+
 # --- fixes of a linear motion, at irregular times -------------------------------------------
 
 #: Fixes are correlated between axes, so that whitening matters.

@@ -92,7 +92,7 @@ class Online:
         self.engine: Engine = estimator.engine(problem)
         self.counts: dict[str, dict[str, int]] = {name: {} for name in problem.sensors}
         self._owner: int | None = None
-        self._copies = bool(copiers(problem.sensors))
+        self._makers = copiers(problem.sensors)
         self._models = Assembly(problem.layout, problem.processes, problem.sensors, [])
         self._state = _State(self.engine.begin(), Monitor.of(problem.sensors))
 
@@ -188,7 +188,7 @@ class Online:
         if any(SAME_TIME < abs(m.t - epoch.t) <= merge for m in epoch.measurements):
             own = (stamped(m, epoch.t) for m in epoch.measurements)
             epoch = replace(epoch, measurements=tuple(own))
-        kept, repeats = without_repeats(with_copies(epoch, self.problem.sensors, merge))
+        kept, repeats = without_repeats(with_copies(epoch, self._makers, merge))
         assembly = assembly if kept is epoch else None
         state, found = self._advance(self._state, kept, assembly)
         return self._swap(state, repeats, found)
@@ -354,8 +354,8 @@ class Online:
         self, s: _State, epoch: Epoch, assembly: Assembly | None = None
     ) -> tuple[_State, tuple[Refusal, ...]]:
         """The state with one more epoch, and what was refused of it."""
-        if self._copies:
-            check_copied(epoch, self.problem.sensors, s.monitor.count(USED))
+        if self._makers:
+            check_copied(epoch.measurements, self.problem.sensors, s.monitor.count(USED))
         with named(epoch):
             if assembly is None:
                 assembly = self._assemble(epoch, s.engine.t)
