@@ -103,7 +103,8 @@ class FixedLagEngine:
         P = 0.5 * (P + P.T)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"t = {epoch.t} s: the estimate is not finite")
-        done = replace(done, weights=window.weights[-1])
+        if window.weights[-1] is not done.weights:
+            done = replace(done, weights=window.weights[-1])
         return self._without_old(replace(window, x=x, P=P, done=done, left=None))
 
     def _extended(self, w: Window, newest: Array) -> Window | None:

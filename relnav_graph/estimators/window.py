@@ -56,9 +56,10 @@ class Chain:
 
     def summary(self, k: int) -> Anchor:
         """All that is known of epoch k from the data up to it, as a linear summary."""
-        n, m = self.known.shape[1], self.statics.shape[1] - 1
+        n, m, known = self.known.shape[1], self.statics.shape[1] - 1, self.known[k]
+        if not m:
+            return Anchor(self.x[k], np.ascontiguousarray(known[:, :n]), known[:, n].copy())
         W, d = np.zeros((n + m, n + m)), np.empty(n + m)
-        known = self.known[k]
         W[:n, :n], d[:n], W[:n, n:] = known[:, :n], known[:, n], known[:, n + 1 :]
         W[n:, n:], d[n:] = self.statics[k, :m, :m], self.statics[k, :m, m]
         return Anchor(self.x[k], W, d)

@@ -10,7 +10,7 @@ marginal covariances.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import types
@@ -203,15 +203,13 @@ class Conditionals:
 
     def since(self, k: int) -> Conditionals:
         """Those without the first k epochs."""
-        return replace(self, R=self.R[k:], S=self.S[k:], d=self.d[k:], T=self.T[k:])
+        return Conditionals(self.R[k:], self.S[k:], self.d[k:], self.T[k:], self.R_s, self.d_s)
 
     def after(self, before: Conditionals, keep: int) -> Conditionals:
         """These after the first `keep` epochs of others."""
-        parts = {
-            name: np.concatenate([getattr(before, name)[:keep], getattr(self, name)])
-            for name in ("R", "S", "d", "T")
-        }
-        return replace(self, **parts)
+        pairs = (before.R, self.R), (before.S, self.S), (before.d, self.d), (before.T, self.T)
+        joined = (np.concatenate([old[:keep], new]) for old, new in pairs)
+        return Conditionals(*joined, self.R_s, self.d_s)
 
     def anchor(self, x: Array) -> Anchor:
         """What all data up to the last epoch say of it and of the static blocks, at x (size,),

@@ -81,8 +81,8 @@ def linearize(
     known, failure = np.zeros((count * keep, n, n + m + 1)), np.zeros(3, dtype=np.int64)
     triangles = np.zeros((count * keep, m + 1, m + 1))
     moving = np.zeros((0, n)) if damping is None else np.ascontiguousarray(damping[:, :n])
-    heights = np.diff(assembly.row_offsets)
-    most = n + m + int(heights.max(initial=0)) + len(moving[:1]) * n
+    highest = int((assembly.row_offsets[1:] - assembly.row_offsets[:-1]).max(initial=0))
+    most = n + m + highest + len(moving[:1]) * n
     a = np.zeros((max(most, 2 * n), 2 * n + 1 + m + SPARE))
     at, left = np.array([0, n + m, 0]), np.empty((max(FOLDED, most) if m else 0, m + 1))
     e, A = anchor.rows(layout, x[0])
@@ -123,7 +123,8 @@ def linearize(
 def _check(assembly: Assembly, c: Conditionals) -> None:
     """Raise EstimationError unless conditionals are finite and determine every state."""
     # A NaN in R spreads to the R of all later epochs: looking at the last one is enough.
-    if not all(np.isfinite(part).all() for part in (c.d, c.R[-1], c.R_s, c.d_s)):
+    finite = np.isfinite(c.d).all() and np.isfinite(c.R[-1]).all()
+    if not (finite and np.isfinite(c.R_s).all() and np.isfinite(c.d_s).all()):
         raise EstimationError("the factor graph's linear system is not finite")
     diagonals = np.einsum("kii->ki", c.R)
     layout = assembly.layout.moving
@@ -133,6 +134,8 @@ def _check(assembly: Assembly, c: Conditionals) -> None:
         raise EstimationError(
             f"the factor graph does not determine {', '.join(bad)} at t = {assembly.times[k]} s"
         )
+    if not len(c.d_s):
+        return
     layout, diagonal = assembly.layout.statics, np.diag(c.R_s)
     if not diagonal.all():
         bad = [b.name for b in layout if not diagonal[layout.tangent(b.name)].all()]
