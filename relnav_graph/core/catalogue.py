@@ -36,3 +36,6 @@ INERTIA = Block("inertia_parameters", "k_t", "vector", 2, "1", "t", "1")
 #: scale. D is the second moment of the mass; every k belongs to a body, and a prior that is
 #: the same for all k favours no axes.
 INERTIA_MATRIX = Block("inertia_matrix_parameters", "S_t", "vector", 5, "1", "t", "1")
+#: A point of a target whose shape is unknown, from its centre of mass; numbered, by the ids of the
+#: observations.
+POINT = Block("point", "X_t", "vector", 3, "m", "t", "mm")

@@ -28,6 +28,7 @@ __all__ = [
     "NamesDirections",
     "ProposesStarts",
     "ReadsCopies",
+    "ReadsNumbered",
     "Sensor",
 ]
 
@@ -216,6 +217,30 @@ class ReadsCopies(Protocol):
 
     def copier(self) -> Sensor:
         """The sensor that ties the copies to what they copy: a `CopiesBlocks`."""
+
+
+@runtime_checkable
+class ReadsNumbered(Protocol):
+    """A sensor of which each observation may read a static block of its own, too: the one with the
+    observation's id, such as a point of a map.
+
+    Its kernel has that block last in x and H. Where the sensor is given x, one value per block of
+    `reads`, it gets one argument more: the values (k, dim), one for each id; where it returns
+    Jacobians, one more (k * rows, dim), of each row to its own.
+    """
+
+    sees_depth: bool
+    """Whether one sight tells where a block is; else only on which line."""
+
+    @property
+    def numbered(self) -> Block | None:
+        """The block without its number, a vector; None where the sensor reads none."""
+
+    def sights(self, ids: Indices, z: Array, *x: Array) -> tuple[Array, Array]:
+        """Where observations ids (k,), z (k, nz) see their blocks, from the state x of `reads`
+        alone: origins (k, 3) and lines (k, 3) in the frame of the block, m. A block is at origin +
+        line where the sensor sees depth, else somewhere along the line, which has length one. NaN
+        where an observation tells nothing."""
 
 
 @runtime_checkable

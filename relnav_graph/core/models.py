@@ -15,6 +15,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import GUARD, MARK
 from relnav_graph.core.contracts import Derived, IntegratesBySteps, Kernel, Sensor
 from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import GeometryError, InputError, ModelError
@@ -157,9 +158,14 @@ class SensorModel:
         on values of the wrong shape, ModelError when the kernel leaves an entry unfilled.
         """
         r, jacobian = self._call(f"at t = {m.t} s", m.ids, self.accept(m.z), x)
-        dims = [b.dim for b in self.reads]
-        stacked = jacobian.reshape(-1, sum(dims))
-        return r.reshape(-1), tuple(np.split(stacked, np.cumsum(dims)[:-1], axis=1))
+        stacked = jacobian.reshape(-1, sum(self._dims))
+        return r.reshape(-1), tuple(np.split(stacked, np.cumsum(self._dims)[:-1], axis=1))
+
+    @property
+    def _dims(self) -> list[int]:
+        """Tangent dimensions of the blocks that an observation reads."""
+        own = numbered_of(self)
+        return [b.dim for b in (*self.reads, *([] if own is None else [own]))]
 
     def predict(self, ids: Indices, *x: Array) -> Array:
         """z = h(x) (k, nz) of k observations, for a sensor whose residual is h(x) - z: the
@@ -172,11 +178,26 @@ class SensorModel:
 
     def _call(self, where: str, ids: Indices, z: Array, x: Sequence[Array]) -> tuple[Array, Array]:
         """Residuals (k, rows) of observations z (k, nz), and Jacobians (k, rows, dims read)."""
-        packed = _pack(self.reads, x, self.kind)
+        own, plain = numbered_of(self), x
+        if own is not None and len(x) == len(self.reads) + 1:
+            plain = x[:-1]
+            if np.shape(x[-1]) != (len(ids), own.dim):
+                found = f"found {own.name} of {np.shape(x[-1])}"
+                raise InputError(f"{self.kind}: {found}, expected {(len(ids), own.dim)}")
+        elif own is not None:
+            raise InputError(
+                f"{self.kind}: found no values of {own.name}, expected one for each id"
+            )
+        packed = _pack(self.reads, plain, self.kind)
         p, q = self.constants(), self.observation_data(ids)
         r = np.empty((len(z), self.rows))
-        jacobian = np.empty((len(z), self.rows, sum(b.dim for b in self.reads)))
+        jacobian = np.empty((len(z), self.rows, sum(self._dims)))
+        shared = len(packed)
+        if own is not None:
+            packed = np.concatenate([packed, np.zeros(own.dim)])
         for k in range(len(z)):
+            if own is not None:
+                packed[shared:] = x[-1][k]
             outputs = _Outputs(self.kind, r=r[k].shape, H=jacobian[k].shape)
             status = self.kernel(p, q[k], z[k], packed, *outputs.arrays)
             if status:

@@ -9,7 +9,7 @@ rad, in the frame on the right of its name).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -46,7 +46,8 @@ class Block:
     name: as in tables and files; symbol: as in figures; manifold: "SO3" or "vector";
     dim: tangent dimension; unit: SI unit of the tangent; frame: letters of the frames
     (``tc`` for an attitude R_tc; ``o`` for components in o); table_unit: what people
-    read in tables.
+    read in tables; number: of one of a family of blocks, such as the points of a map, see
+    :meth:`numbered`.
     """
 
     name: str
@@ -56,11 +57,26 @@ class Block:
     unit: str
     frame: str
     table_unit: str
+    number: int | None = None
 
     def __post_init__(self) -> None:
         if self.manifold == "SO3" and self.dim != 3:
             raise ModelError(f"block {self.name}: an SO3 block has dimension 3, not {self.dim}")
         unit_scale(self.table_unit, self.unit)
+
+    def numbered(self, number: int) -> Block:
+        """The block ``name[number]`` of the family of which this one tells all but the number."""
+        return replace(
+            self,
+            name=f"{self.name}[{number}]",
+            symbol=f"{self.symbol}_{number}",
+            number=number,
+        )
+
+    @property
+    def family(self) -> str:
+        """The name without the number."""
+        return self.name if self.number is None else self.name[: self.name.rindex("[")]
 
     @property
     def size(self) -> int:
@@ -126,6 +142,7 @@ class Layout:
                     f"block {block.name!r} is declared twice, and differently: "
                     f"{unique[block.name]} and {block}"
                 )
+        self._named = unique
         self.blocks: tuple[Block, ...] = tuple(unique.values())
         self._stored: dict[str, slice] = {}
         self._tangent: dict[str, slice] = {}
@@ -175,10 +192,9 @@ class Layout:
 
     def block(self, name: str) -> Block:
         """The block called `name`; raises ModelError when there is none."""
-        for block in self.blocks:
-            if block.name == name:
-                return block
-        raise ModelError(f"no block {name!r}; the state has {[b.name for b in self.blocks]}")
+        if (block := self._named.get(name)) is None:
+            raise ModelError(f"no block {name!r}; the state has {list(self._named)}")
+        return block
 
     def stored(self, name: str) -> slice:
         """Where the stored values of a block stand."""

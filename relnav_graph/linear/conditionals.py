@@ -208,8 +208,8 @@ class Conditionals:
     def after(self, before: Conditionals, keep: int) -> Conditionals:
         """These after the first `keep` epochs of others."""
         pairs = (before.R, self.R), (before.S, self.S), (before.d, self.d), (before.T, self.T)
-        joined = (np.concatenate([old[:keep], new]) for old, new in pairs)
-        return Conditionals(*joined, self.R_s, self.d_s)
+        R, S, d, T = (np.concatenate([old[:keep], new]) for old, new in pairs)
+        return Conditionals(R, S, d, T, self.R_s, self.d_s)
 
     def anchor(self, x: Array) -> Anchor:
         """What all data up to the last epoch say of it and of the static blocks, at x (size,),
