@@ -228,7 +228,9 @@ def make_scenario(
         options |= {key: SensorOptions() for key in sensors if key not in options}
         priors = copy_priors(sensors, layout) | file.prior
         file = file.model_copy(update={"prior": priors})
-        check_prior(layout, file, problems, families(sensors), every)
+        # What a sensor reads that waits for the data is not known yet.
+        spare = file.prior if waiting and len(made["sensors"]) < len(file.sensors) else every
+        check_prior(layout, file, problems, families(sensors), spare)
         told = file.truth or {}
         statics = true_statics(every, told.get("statics", {}), problems)
         points = true_map(told.get("map"), sensors, settings, file.simulated, problems)
