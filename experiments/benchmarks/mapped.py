@@ -13,7 +13,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
-from relnav_graph.core.catalogue import CHASER_ATTITUDE, RELATIVE_POSITION, TARGET_ATTITUDE
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, POINT, RELATIVE_POSITION, TARGET_ATTITUDE
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import SensorModel
@@ -23,7 +23,7 @@ from relnav_graph.core.track import Truth
 from relnav_graph.maths import dense, so3
 
 #: Sigmas of a sight, m, and of a point beforehand, m.
-SIGHT, WIDE = 0.02, 1.0
+SIGHT, WIDE = 0.02, 2.0
 
 
 @jit
@@ -46,19 +46,27 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class PointSight(SensorModel):
-    """One point of the target, at an unknown place, as its position in chaser axes, m."""
+    """Points of the target, at unknown places, as their positions in chaser axes, m."""
 
     kind: ClassVar[str] = "point_sight"
     columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m")
     rows: ClassVar[int] = 3
     kernel = staticmethod(kernel)
 
-    number: int
+    sees_depth: ClassVar[bool] = True
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        point = Block(f"point_{self.number}", f"X_{self.number}", "vector", 3, "m", "t", "m")
-        return CHASER_ATTITUDE, TARGET_ATTITUDE, RELATIVE_POSITION, point
+        return CHASER_ATTITUDE, TARGET_ATTITUDE, RELATIVE_POSITION
+
+    @property
+    def numbered(self) -> Block | None:
+        return POINT
+
+    def sights(self, ids: Indices, z: Array, *x: Array) -> tuple[Array, Array]:
+        """From the chaser to the points, in t, m."""
+        R_oc, R_ot, r = x
+        return np.tile(R_ot.T @ r, (len(ids), 1)), z @ R_oc.T @ R_ot
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(SIGHT**2 * np.eye(3), (len(m.z), 1, 1))
@@ -73,22 +81,12 @@ def mapped(problem: Problem, truth: Truth, count: int, seen: int = 10, seed: int
     X = rng.normal(0.0, 1.0, (count, 3))
     names = CHASER_ATTITUDE.name, TARGET_ATTITUDE.name, RELATIVE_POSITION.name
     R_oc, R_ot, r = (truth.values[name] for name in names)
-    sensors: dict[str, Any] = {f"point_{j}": PointSight(number=j) for j in range(count)}
-    epochs, one = list[Epoch](), np.zeros(1, dtype=np.int64)
+    epochs = list[Epoch]()
     for k, epoch in enumerate(problem.epochs):
         chosen: Indices = np.sort((k + np.arange(min(seen, count))) % count)
-        sights = [
-            Measurement(
-                f"point_{j}",
-                epoch.t,
-                (R_oc[k].T @ (R_ot[k] @ X[j] - r[k]) + SIGHT * rng.normal(size=3))[None],
-                one,
-            )
-            for j in chosen
-        ]
-        epochs.append(replace(epoch, measurements=(*epoch.measurements, *sights)))
-    x = np.concatenate([problem.prior.x, (X + WIDE * rng.normal(size=X.shape)).ravel()])
-    n = len(problem.prior.P)
-    P = np.diag(np.full(n + 3 * count, WIDE**2))
-    P[:n, :n] = problem.prior.P
-    return Problem(problem.processes, {**problem.sensors, **sensors}, Prior(x, P), tuple(epochs))
+        z = (X[chosen] @ R_ot[k].T - r[k]) @ R_oc[k] + SIGHT * rng.normal(size=(len(chosen), 3))
+        sights = Measurement("points", epoch.t, z, chosen)
+        epochs.append(replace(epoch, measurements=(*epoch.measurements, sights)))
+    sensors: dict[str, Any] = {**problem.sensors, "points": PointSight()}
+    wide = {POINT.name: Prior(np.zeros(3), WIDE**2 * np.eye(3))}
+    return Problem(problem.processes, sensors, problem.prior, tuple(epochs), numbered=wide)

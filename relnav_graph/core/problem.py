@@ -5,11 +5,12 @@ Filter and smoothers receive the same `Problem`: that is the fairness argument.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import (
@@ -22,7 +23,8 @@ from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
 from relnav_graph.core.copies import copied
 from relnav_graph.core.epochs import Epoch, bridged, check_epoch
 from relnav_graph.core.measurement import SAME_TIME, Bridge
-from relnav_graph.core.state import Layout
+from relnav_graph.core.numbered import families, first_seen
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.files import check_name
 from relnav_graph.maths.losses import Loss
@@ -76,11 +78,14 @@ class Problem:
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
     fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
     gaps in inputs are bridged, by input, where they come online; merge: s, how close to an epoch
-    is of it, online, 0 for equal times only. Without epochs it is one to be driven online: they
-    come later. Copies (`relnav_graph.core.copies`) are made at its epochs. Raises ModelError when
-    no process advances any block, or two advance one, InputError when times do not increase, a
-    sensor is unknown, two models have different orbits, a name is none
-    (`relnav_graph.files.check_name`) or there is no epoch to copy.
+    is of it, online, 0 for equal times only; numbered: of each family of numbered blocks that the
+    sensors read, the prior of one of them. Without epochs it is one to be driven online: they
+    come later. Copies (`relnav_graph.core.copies`) are made at its epochs. The layout ends with the
+    numbered blocks that are measured, in order of first sight; a prior that does not tell of just
+    these is completed. Raises ModelError when no process advances any block, or two advance one,
+    InputError when times do not increase, a sensor is unknown, two models have different orbits, a
+    name is none (`relnav_graph.files.check_name`), numbered blocks have no prior, or there is no
+    epoch to copy.
     """
 
     processes: Mapping[str, Dynamics]
@@ -92,10 +97,11 @@ class Problem:
     losses: Mapping[str, Loss] = field(default_factory=dict)
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
     merge: float = SAME_TIME
+    numbered: Mapping[str, Prior] = field(default_factory=dict)
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("processes", "sensors", "gates", "losses", "bridges"):
+        for name in ("processes", "sensors", "gates", "losses", "bridges", "numbered"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for what, named in (("a process", self.processes), ("a sensor", self.sensors)):
             for name in named:
@@ -105,7 +111,12 @@ class Problem:
                 if sensor not in self.sensors:
                     raise InputError(f"{name}: unknown sensor {sensor!r}")
         object.__setattr__(self, "epochs", copied(self.epochs, self.sensors, self.merge))
-        object.__setattr__(self, "layout", layout_of(self.processes, self.sensors))
+        seen = first_seen(self.sensors, (m for e in self.epochs for m in e.measurements))
+        layout = layout_of(self.processes, self.sensors)
+        object.__setattr__(self, "layout", Layout(layout.moving, (*layout.statics, *seen)))
+        self._check_numbered()
+        if seen and self.prior.x.shape != (self.layout.size,):
+            object.__setattr__(self, "prior", completed(self.prior, layout, seen, self.numbered))
         check_orbits(self.processes, self.sensors)
         n = self.layout.dim
         if self.prior.x.shape != (self.layout.size,) or self.prior.P.shape != (n, n):
@@ -126,6 +137,17 @@ class Problem:
         for before, epoch in zip((None, *self.epochs), self.epochs, strict=False):
             t_before = None if before is None else before.t
             check_epoch(self.processes, self.sensors, epoch, t_before)
+
+    def _check_numbered(self) -> None:
+        """Raise InputError unless each family of numbered blocks has a prior of its size."""
+        for name, block in families(self.sensors).items():
+            prior = self.numbered.get(name)
+            if prior is None or prior.x.shape != (block.size,):
+                found = "none" if prior is None else f"x of {prior.x.shape}"
+                raise InputError(
+                    f"prior of {name}: found {found}, expected x ({block.size},) and P for each of"
+                    " these static blocks"
+                )
 
     @property
     def times(self) -> Array:
@@ -154,6 +176,21 @@ class Problem:
                 for key, length in bridged(self.processes[name], u).items():
                     found.setdefault(key, {})[epoch.t] = length
         return {key: list(lengths.items()) for key, lengths in found.items()}
+
+
+def completed(
+    prior: Prior, layout: Layout, blocks: Sequence[Block], numbered: Mapping[str, Prior]
+) -> Prior:
+    """What a prior tells of the blocks of a layout, followed by that of further, numbered ones.
+
+    numbered: of each family, the prior of one of its blocks.
+    """
+    own = [numbered[block.family] for block in blocks]
+    known = prior.P[: layout.dim, : layout.dim]
+    return Prior(
+        np.concatenate([prior.x[: layout.size], *(one.x for one in own)]),
+        block_diag(known, *(one.P for one in own)),
+    )
 
 
 def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> None:

@@ -204,6 +204,10 @@ class Layout:
         """Where the tangent of a block stands: its rows and columns in a covariance."""
         return self._tangent[self.block(name).name]
 
+    def slices(self, name: str) -> tuple[slice, slice]:
+        """Where a block stands in the stored vector, and in the tangent."""
+        return self.stored(name), self.tangent(name)
+
     @cached_property
     def kinds(self) -> Indices:
         """One row (is_SO3, stored offset, tangent offset, dim) per block."""

@@ -8,14 +8,18 @@ from typing import ClassVar
 
 import numpy as np
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
+from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.estimators.gauss_newton import is_small, solve_gated
+from relnav_graph.estimators.incremental import RATIO, IncrementalSmoother
 from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.second_look import conclude
-from relnav_graph.estimators.source import UNSOLVED
+from relnav_graph.estimators.source import UNSOLVED, RecordedSource, drive
 from relnav_graph.estimators.trust import gave_up
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths.losses import Loss
 
 __all__ = ["Batch"]
@@ -32,12 +36,29 @@ def _filtered(problem: Problem) -> FilterSweep:
     return done if robust.stopped else robust
 
 
+def _begun(problem: Problem) -> tuple[Assembly, Array, Array]:
+    """All epochs, and a trajectory (N, size) and weights (observations,) to start from: of the
+    iterated filter and its smoother; of the incremental smoother where there is a map to make, of
+    which a filter makes a bad one. Raises EstimationError when there is none."""
+    if any(block.number is not None for block in problem.layout.statics):
+        smoother = IncrementalSmoother(problem, RATIO)
+        whole = drive(RecordedSource(problem), smoother)
+        if whole.stopped:
+            raise EstimationError(whole.stopped)
+        assembly, solution = smoother.finish()
+        return assembly, solution.x, solution.weights
+    done = _filtered(problem)
+    if done.stopped:
+        raise EstimationError(done.stopped)
+    return done.assembly, smooth(done, covariances=False)[0], done.weights
+
+
 @dataclass(frozen=True)
 class Batch:
     """Maximum a posteriori estimate of the whole pass, all marginal covariances included.
 
     Starts from the iterated filter and its smoother, not from open-loop propagation,
-    which a tumbling target soon leads astray.
+    which a tumbling target soon leads astray; with unknown points, from `incremental`.
     """
 
     kind: ClassVar[str] = "batch"
@@ -45,20 +66,17 @@ class Batch:
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
         start, seconds = time.perf_counter(), 0.0
-        done = _filtered(problem)
-        nothing = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
-        ended = estimates(problem.layout, *nothing)
-        assembly, found = done.assembly, gave_up(problem, done.stopped)
-        if not done.stopped:
-            try:
-                begin, weights = smooth(done, covariances=False)[0], done.weights
-                del done  # its covariances are as large as all that follows
-                solution = solve_gated(assembly, problem, begin, weights)
-                near = is_small(solution.distance, solution.conditionals.states)
-                unconverged = None if near else solution.distance
-                ended, found, seconds = conclude(problem, assembly, solution, start, unconverged)
-            except UNSOLVED as error:
-                found = gave_up(problem, str(error))
+        layout, count = problem.layout, len(problem.epochs)
+        nothing = np.full((count, layout.size), np.nan), np.full((count, *2 * [layout.dim]), np.nan)
+        ended = estimates(layout, *nothing)
+        try:
+            assembly, begin, weights = _begun(problem)
+            solution = solve_gated(assembly, problem, begin, weights)
+            near = is_small(solution.distance, solution.conditionals.states)
+            unconverged = None if near else solution.distance
+            ended, found, seconds = conclude(problem, assembly, solution, start, unconverged)
+        except UNSOLVED as error:
+            found = gave_up(problem, str(error))
         return Track(
             name=self.kind,
             kind="smoothed",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Status, Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError
+from relnav_graph.estimators.first_sights import first_epochs, first_sights
 from relnav_graph.estimators.source import Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
@@ -186,9 +188,14 @@ def run_filter(
     )
     at = FilterState.at_prior(problem) if start is None else start
     failure, reached = np.zeros(4, dtype=np.int64), 0
-    for k in range(count) if seconds is not None else [0]:
-        begun, end = time.perf_counter(), k + 1 if seconds is not None else count
-        filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, out, failure)
+    nowhere = np.zeros(n)
+    starts = first_epochs(assembly)
+    begins = np.arange(count) if seconds is not None else np.unique([0, *starts])
+    for k, end in pairwise([*begins.tolist(), count]):
+        begun, ahead = time.perf_counter(), nowhere
+        if k in starts:
+            ahead = first_sights(assembly.at(k), at.x, at.P)
+        filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, ahead, out, failure)
         reached = int(failure[3]) if failure[0] else end
         if reached:
             t = float(assembly.times[reached - 1])

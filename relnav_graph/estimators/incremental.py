@@ -38,6 +38,8 @@ from relnav_graph.linear.elimination import linearize
 __all__ = ["Incremental", "IncrementalSmoother"]
 
 
+#: By how much the history grows between relinearisations.
+RATIO = 1.3
 #: Epochs taken in one by one, at most, before they are relinearised among themselves.
 WINDOW = 100
 
@@ -229,7 +231,7 @@ class Incremental:
     """
 
     kind: ClassVar[str] = "incremental"
-    ratio: float = 1.3
+    ratio: float = RATIO
 
     def engine(self, problem: Problem) -> IncrementalSmoother:
         """For use online."""

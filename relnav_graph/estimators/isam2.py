@@ -32,6 +32,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
+from relnav_graph.estimators.first_sights import names_of, unseen
 from relnav_graph.estimators.gauss_newton import Solution, is_small
 from relnav_graph.estimators.parts import in_order
 from relnav_graph.estimators.second_look import second_look
@@ -124,8 +125,13 @@ class ISAM2Smoother:
         done = filter_step(self.problem, ITERATIONS, before, epoch, assembly)
         try:
             after, tree = self._extended(state, epoch, done)
-            if after.count >= state.due:
-                after, tree = self._relinearized(after, tree, NEAR, FORCED)[:2]
+            # The tree has linearised what it sees first where the prior is: at once anew.
+            new = unseen(assembly, state.P)
+            if len(new) or after.count >= state.due:
+                start = self.keys.trajectory(tree.best(), after.count)
+                for block in names_of(assembly, new):
+                    start[:, layout.stored(block)] = done.end.x[layout.stored(block)]
+                after, tree = self._relinearized(after, tree, NEAR, FORCED, start)[:2]
                 due = max(state.count + 2, math.ceil(self.ratio * after.count))
                 after = replace(after, due=due)
         except (EstimationError, np.linalg.LinAlgError) as error:
@@ -183,10 +189,11 @@ class ISAM2Smoother:
         return tree
 
     def _relinearized(
-        self, s: TreeState, tree: Tree, tolerance: float, forced: int
+        self, s: TreeState, tree: Tree, tolerance: float, forced: int, start: Array
     ) -> tuple[TreeState, Tree, Assembly, float]:
-        """The state with the whole history linearised anew, and weights decided anew; its tree,
-        all epochs, and the length of the last step, in sigmas."""
+        """The state with the whole history linearised anew, from the trajectory start (N, size),
+        and weights decided anew; its tree, all epochs, and the length of the last step, in
+        sigmas."""
         parts, problem = s.parts(), self.problem
         epochs = tuple(epoch for part in parts for epoch in part.epochs)
         assembly = Assembly.join([part.assembly for part in parts if part.assembly is not None])
@@ -218,7 +225,6 @@ class ISAM2Smoother:
                     break
             return x
 
-        start = self.keys.trajectory(best, s.count)
         reweighted(problem, assembly, start, weights, solve)
         part, tree, distance = found
         x, P = tree.newest(s.count - 1, part.x)
@@ -276,9 +282,9 @@ class ISAM2Smoother:
                 f"extra: {state.waiting[0]} name epoch {state.waiting[0].last}, and there are"
                 f" {state.count} epochs, from 0 on"
             )
-        after, tree, assembly, distance = self._relinearized(
-            state, self._tree(state), CONVERGED, LAST
-        )
+        tree = self._tree(state)
+        start = self.keys.trajectory(tree.best(), state.count)
+        after, tree, assembly, distance = self._relinearized(state, tree, CONVERGED, LAST, start)
         assert after.last is not None
         whole, values = after.last, tree.best()
         problem = replace(self.problem, epochs=whole.epochs)

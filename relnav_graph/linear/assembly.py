@@ -19,14 +19,16 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import DEGENERATE, dynamics_address, sensor_address
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import Epoch, check_epoch
+from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError, ModelError
 from relnav_graph.linear import rows
 from relnav_graph.linear.intervals import ProcessRows, process_rows
 from relnav_graph.linear.tables import (
-    COLUMNS,
     EPOCH,
+    OWN_COLUMN,
+    OWN_PLACE,
     Q_DATA,
     ROW,
     ROWS,
@@ -63,8 +65,8 @@ class Assembly:
     """Epochs, with the intervals that lead to them, as arrays.
 
     t_before: start of an interval that leads to the first epoch, None when it has none.
-    observations: their number; epoch_offsets (N + 1,) and row_offsets (N + 1,): where each
-    epoch's observations and rows begin; sensor_of (observations,): the place of each one's
+    sensors: by name; observations: their number; epoch_offsets and row_offsets (N + 1,): where
+    each epoch's observations and rows begin; sensor_of (observations,): the place of each one's
     sensor among `sensor_names`. checked: whether the epochs are known to be in order.
     Raises InputError or ModelError on an epoch or a model that is not in order.
     """
@@ -81,9 +83,9 @@ class Assembly:
     ) -> None:
         self.layout = layout
         self.sensor_names = tuple(sensors)
-        self._sensors, self._processes = dict(sensors), dict(processes)
+        self.sensors, self._processes = dict(sensors), dict(processes)
         numbers, places = Collected(np.float64), Collected(np.int64)
-        sensor_table = np.zeros((len(sensors), 8), dtype=np.int64)
+        sensor_table = np.zeros((len(sensors), 9), dtype=np.int64)
         for i, sensor in enumerate(sensors.values()):
             gather, columns = layout.gather(sensor.reads)
             sensor_table[i] = [
@@ -92,6 +94,7 @@ class Assembly:
                 *places.add(gather),
                 *places.add(columns),
                 sensor.rows,
+                0 if (own := numbered_of(sensor)) is None else own.dim,
             ]
         process_table = np.zeros((len(processes), 14), dtype=np.int64)
         for i, process in enumerate(processes.values()):
@@ -115,7 +118,7 @@ class Assembly:
         # The compiled loops trust every size: nothing unchecked may reach them.
         before = [t_before, *(e.t for e in epochs)][:-1]
         for t, epoch in zip(before, epochs, strict=True) if not checked else ():
-            check_epoch(self._processes, self._sensors, epoch, t)
+            check_epoch(self._processes, self.sensors, epoch, t)
         self.times = np.array([e.t for e in epochs])
         starts = self.times[:-1] if t_before is None else np.array([t_before, *self.times[:-1]])
         sensor_table, process_table, places, constants = self._models
@@ -156,11 +159,11 @@ class Assembly:
         sizes = np.array([len(m.z) for _, m in flat], dtype=np.int64)
         which = {name: i for i, name in enumerate(self.sensor_names)}
         sensor_of = np.array([which[m.sensor] for _, m in flat], dtype=np.int64)
-        heights = np.array([s.rows for s in self._sensors.values()], dtype=np.int64)
+        heights = np.array([s.rows for s in self.sensors.values()], dtype=np.int64)
         self.sensor_of = np.repeat(sensor_of, sizes)
         self.ids = np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for _, m in flat)])
         self.observations = len(self.ids)
-        out = np.zeros((self.observations, 8), dtype=np.int64)
+        out = np.zeros((self.observations, 10), dtype=np.int64)
         out[:, SENSOR] = self.sensor_of
         out[:, EPOCH] = np.repeat(np.array([k for k, _ in flat], dtype=np.int64), sizes)
         ends = np.cumsum(heights[self.sensor_of])
@@ -168,7 +171,7 @@ class Assembly:
         edges = np.searchsorted(out[:, EPOCH], np.arange(len(epochs) + 1))
         self.epoch_offsets = edges.astype(np.int64)
         self.row_offsets = np.concatenate(([0], ends))[edges].astype(np.int64)
-        for name, sensor in self._sensors.items():
+        for name, sensor in self.sensors.items():
             own = np.flatnonzero(self.sensor_of == which[name])
             if not len(own):
                 continue
@@ -187,17 +190,14 @@ class Assembly:
                 out[own, column] = begin + width * np.arange(len(own))
                 out[own, column + 1] = out[own, column] + width
             out[own, WHITEN] = numbers.add(whiten)[0] + sensor.rows**2 * np.arange(len(own))
+            if (block := numbered_of(sensor)) is not None:
+                ids, which_id = np.unique(self.ids[own], return_inverse=True)
+                names = [block.numbered(int(i)).name for i in ids]
+                starts = [
+                    (self.layout.stored(n).start, self.layout.tangent(n).start) for n in names
+                ]
+                out[own, OWN_PLACE : OWN_COLUMN + 1] = np.array(starts)[which_id]
         return out
-
-    def static_columns(self, first: int, last: int) -> Indices:
-        """The columns of the static blocks, counted from their first, that the observations of
-        epochs first to last - 1 read, and the intervals after them."""
-        n, seen = self.layout.moving.dim, slice(*self.epoch_offsets[[first, last]])
-        chosen = self.tables.sensors[np.unique(self.sensor_of[seen])]
-        places = [self.tables.places[one[COLUMNS] : one[COLUMNS + 1]] for one in chosen]
-        places += [self.tables.places[p[COLUMNS] : p[COLUMNS + 1]] for p in self.tables.processes]
-        columns: Indices = np.unique(np.concatenate(places)) - n
-        return columns[columns >= 0]
 
     def at(self, k: int) -> Assembly:
         """The assembly of epoch k alone, with the interval that leads to it.
@@ -241,7 +241,7 @@ class Assembly:
                 numbers.append(t.numbers)
                 size += len(t.numbers)
             shift = base[id(t.numbers)]
-            own = t.observations + np.array([0, count, first_row, *5 * [shift]])
+            own = t.observations + np.array([0, count, first_row, *5 * [shift], 0, 0])
             observations.append(own)
             intervals.append(t.intervals + np.array([shift, 0, 0]))
             epochs.append(part.epoch_offsets[:-1] + first_observation)
@@ -302,7 +302,7 @@ class Assembly:
         if bad.any():
             i = int(np.nonzero(bad)[0][0])
             o, name = first + i, self.sensor_names[self.sensor_of[first + i]]
-            sensor, t = self._sensors[name], self.times[self.tables.observations[o, EPOCH]]
+            sensor, t = self.sensors[name], self.times[self.tables.observations[o, EPOCH]]
             where = f"sensor {name!r} ({sensor.kind}), id {self.ids[o]} at t = {t} s"
             if status[i] < 0:
                 raise ModelError(f"{where}: the kernel {rows.BROKEN[int(status[i])]}")

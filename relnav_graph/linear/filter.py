@@ -21,8 +21,16 @@ from relnav_graph.linear.rows import observe, propagate
 from relnav_graph.linear.tables import TABLES, Tables, rows_of
 from relnav_graph.linear.update import innovation_covariance, misfit, robust_update
 from relnav_graph.maths import dense
-from relnav_graph.maths.dense import cholesky, column_squares, copy, sandwich, solve_lower
+from relnav_graph.maths.dense import (
+    cholesky,
+    column_squares,
+    copy,
+    sandwich,
+    solve_lower,
+    sum_of_squares,
+)
 from relnav_graph.maths.losses import root_weight
+from relnav_graph.maths.manifold import retract, times_jacobian
 
 __all__ = [
     "FAILURES",
@@ -130,7 +138,18 @@ _OUTPUT = types.NamedTuple(
 
 
 @jit_loop(
-    *(TABLES, _INPUT, types.int64, types.int64, types.int64, VECTOR, MATRIX, _OUTPUT, INDICES)
+    *(
+        TABLES,
+        _INPUT,
+        types.int64,
+        types.int64,
+        types.int64,
+        VECTOR,
+        MATRIX,
+        VECTOR,
+        _OUTPUT,
+        INDICES,
+    )
 )
 def filter_epochs(
     tables: Tables,
@@ -140,6 +159,7 @@ def filter_epochs(
     end: int,
     x_before: Array,
     P_before: Array,
+    ahead: Array,
     out: FilterOutput,
     failure: Indices,
 ) -> None:
@@ -148,10 +168,12 @@ def filter_epochs(
         x- = f(x),  P- = F P F^T + Q;   then x, P by `relnav_graph.linear.update.update`
 
     x_before (size,), P_before (n, n): the estimate before epoch `begin`; epochs begin to
-    end - 1 are done. Fills `out`, where nis is ``r^T (H P- H^T + I)^-1 r`` of the rows used,
-    `used` the number of these rows, and `weights` the square root of a robust weight, 0 for an
-    observation left out. F and Q may have room for one epoch only: then they keep the last
-    one's. failure (4,): what stopped the filter, process or observation, status, epoch.
+    end - 1 are done. ahead (n,): the step from the first epoch's prediction to where its
+    measurements are linearised first. Fills `out`, where nis is ``r^T (H P- H^T + I)^-1 r`` of
+    the rows used, `used` the number of these rows, and `weights` the square root of a robust
+    weight, 0 for an observation left out. F and Q may have room for one epoch only: then they
+    keep the last one's. failure (4,): what stopped the filter, process or observation, status,
+    epoch.
     """
     epoch_offsets, row_offsets, kinds = given.epoch_offsets, given.row_offsets, given.kinds
     limit, losses, weight = given.limits, given.losses, out.weights
@@ -162,9 +184,11 @@ def filter_epochs(
     n, most = Pk.shape[0], 0
     for k in range(begin, end):
         most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
-    squares = np.zeros(most)
+    squares, here = np.zeros(most), np.zeros(n)
     for k in range(begin, end):
         give_way(0)
+        for j in range(n):
+            here[j] = ahead[j] if k == begin else 0.0
         slot = k % F.shape[0]
         failure[3] = k
         if k >= lag:
@@ -190,11 +214,13 @@ def filter_epochs(
             own_squares = squares[: last - first]
             _measured_epoch(
                 tables,
+                kinds,
                 k,
                 first,
                 last,
                 xk,
                 Pk,
+                here,
                 limit[first:last],
                 own_losses,
                 own_weight,
@@ -215,6 +241,7 @@ def filter_epochs(
                 own_losses,
                 own_squares,
                 own_weight,
+                here,
                 xk,
                 Pk,
             ):
@@ -234,11 +261,13 @@ def filter_epochs(
 @jit
 def _measured_epoch(
     tables: Tables,
+    kinds: Indices,
     k: int,
     first: int,
     last: int,
     x: Array,
     P: Array,
+    ahead: Array,
     limit: Array,
     losses: Array,
     weight: Array,
@@ -250,7 +279,8 @@ def _measured_epoch(
 ) -> None:
     """Gate epoch k: fill weights, squares, nis[k] and used[k] from the innovations.
 
-    x (size,), P (n, n): the prediction; limit, weight, squares (observations of the epoch,);
+    x (size,), P (n, n): the prediction; ahead (n,): the step from there to where its measurements
+    are linearised; limit, weight, squares (observations of the epoch,);
     losses (observations of the epoch, 2); rows: number of their rows; nis, used (N,).
     """
     n = P.shape[0]
@@ -259,8 +289,14 @@ def _measured_epoch(
     for i in range(last - first):
         weight[i] = 1.0
     at = np.empty((1, x.shape[0]))
-    dense.put_vector(at[0], 0, x)
+    moved = sum_of_squares(ahead) > 0.0
+    dense.put_vector(at[0], 0, retract(x, ahead, kinds) if moved else x)
     observe(tables, first, last, k, at, weight, r, H, status)
+    if moved:
+        times_jacobian(H, ahead, kinds, False)
+        for i in range(rows):
+            for j in range(n):
+                r[i] -= H[i, j] * ahead[j]
     for i in range(last - first):
         if status[i] < 0 or status[i] >= DEGENERATE:
             failure[0], failure[1], failure[2] = SENSOR_BROKE, first + i, status[i]

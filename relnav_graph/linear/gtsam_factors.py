@@ -24,6 +24,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError
@@ -125,8 +126,10 @@ def _noise_model(kind: str, rows: int, observations: int, model: NoiseModel | No
 class Look:
     """What the factors of one sensor have in common: the blocks that it reads, and buffers."""
 
-    def __init__(self, sensor: Sensor) -> None:
-        self.sensor, self.layout = sensor, Layout(sensor.reads)
+    def __init__(self, sensor: Sensor, own: Block | None = None) -> None:
+        """own: the numbered block that its observations read, where the sensor reads one."""
+        self.sensor = sensor
+        self.layout = Layout(sensor.reads, () if own is None else (own,))
         self.columns = [self.layout.tangent(b.name) for b in self.layout]
         self.reader = _Reader(self.layout)
 
@@ -147,13 +150,17 @@ def measurement_factor(
 ) -> gtsam.CustomFactor:
     """The factor of one measurement: whitened residuals (count * rows,) of its observations.
 
-    keys: of the blocks that the sensor reads, in their order; model: a robust loss, of a
+    keys: of the blocks that the sensor reads, in their order, and of the numbered block of the
+    observations, where it reads one: they then have one id; model: a robust loss, of a
     measurement of one observation, or GTSAM's noise model of the whitened residuals; by default a
     unit one. Evaluating it raises GeometryError when an observation is impossible at the values,
     and ModelError when the model breaks its contract. Raises InputError on wrong keys or a model
     that does not fit.
     """
-    look = Look(sensor)
+    block = numbered_of(sensor)
+    if block is not None and len(set(m.ids.tolist())) != 1:
+        raise InputError(f"{sensor.kind}: found ids {m.ids}, expected one: a factor for each")
+    look = Look(sensor, None if block is None else block.numbered(int(m.ids[0])))
     _check_keys(sensor.kind, keys, look.layout.blocks)
     assembly = Assembly(look.layout, {}, {m.sensor: sensor}, [Epoch(m.t, (m,))])
     return observation_factor(look, assembly, keys, np.ones(assembly.observations), model)

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, estimates
@@ -132,19 +133,35 @@ class PassFactors:
 
     problem: Problem
     keys: Keys
-    _looks: dict[str, tuple[Look, Assembly]] = field(default_factory=dict)
+    _looks: dict[tuple[str, int | None], tuple[Look, Assembly]] = field(default_factory=dict)
     _ways: dict[str, tuple[Way, Assembly]] = field(default_factory=dict)
     _made: WeakKeyDictionary[Measurement | Epoch, dict[Any, Assembly]] = field(
         default_factory=WeakKeyDictionary
     )
+    _split: WeakKeyDictionary[Measurement, list[Measurement]] = field(
+        default_factory=WeakKeyDictionary
+    )
 
     def __post_init__(self) -> None:
-        for name, sensor in self.problem.sensors.items():
-            look = Look(sensor)
-            self._looks[name] = look, Assembly(look.layout, {}, {name: sensor}, [])
         for name, process in self.problem.processes.items():
             way = Way(process)
             self._ways[name] = way, Assembly(way.layout, {name: process}, {}, [])
+
+    def _look(self, name: str, number: int | None) -> tuple[Look, Assembly]:
+        """Of a sensor, and of the numbered block that its observations read, if any."""
+        if (name, number) not in self._looks:
+            sensor = self.problem.sensors[name]
+            block = numbered_of(sensor)
+            own = None if block is None or number is None else block.numbered(number)
+            look = Look(sensor, own)
+            self._looks[name, number] = look, Assembly(look.layout, {}, {name: sensor}, [])
+        return self._looks[name, number]
+
+    def _each(self, m: Measurement) -> list[Measurement]:
+        """The observations of a measurement, each by itself; made once."""
+        if m not in self._split:
+            self._split[m] = [replace(m, z=m.z[[i]], ids=m.ids[[i]]) for i in range(len(m.z))]
+        return self._split[m]
 
     def _assembled(
         self, what: Measurement | Epoch, name: str, models: Assembly, t: float, t_before: Any = None
@@ -174,22 +191,25 @@ class PassFactors:
     def measurements(
         self, k: int, epoch: Epoch, weight: Array, losses: Mapping[str, Loss]
     ) -> list[gtsam.CustomFactor]:
-        """Of epoch k: one for each measurement, or for each observation of a sensor with a loss.
+        """Of epoch k: one for each measurement, or for each observation of a sensor that has a loss
+        or reads numbered blocks.
 
         weight (observations,): square roots of their weights; 0 leaves one out.
         """
         out, first = [], 0
         for m in epoch.measurements:
-            (look, models), w = self._looks[m.sensor], weight[first : first + len(m.z)]
+            w, loss = weight[first : first + len(m.z)], losses.get(m.sensor)
             first += len(m.z)
-            keys, loss = self.keys.at(k, look.layout), losses.get(m.sensor)
-            if loss is None:
+            numbered = numbered_of(self.problem.sensors[m.sensor]) is not None
+            if loss is None and not numbered:
                 each = [(m, w)]
             else:
-                rows = [[i] for i in np.flatnonzero(w)]
-                each = [(replace(m, z=m.z[i], ids=m.ids[i]), w[i]) for i in rows]
+                parts = self._each(m)
+                each = [(parts[i], w[[i]]) for i in np.flatnonzero(w)]
             for part, own in each:
+                look, models = self._look(m.sensor, int(part.ids[0]) if numbered else None)
                 one = self._assembled(part, m.sensor, models, epoch.t)
+                keys = self.keys.at(k, look.layout)
                 out.append(observation_factor(look, one, keys, own, loss))
         return out
 

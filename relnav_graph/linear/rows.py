@@ -30,6 +30,9 @@ from relnav_graph.linear.tables import (
     EPOCH,
     GATHER,
     KINDS,
+    NUMBERED,
+    OWN_COLUMN,
+    OWN_PLACE,
     Q_DATA,
     ROW,
     ROWS,
@@ -152,14 +155,17 @@ def _observe_run(
 ) -> None:
     """:func:`observe` of observations start to stop - 1, all of one sensor.
 
-    sensor: (8,), its row of the table; the other arrays as in :func:`observe`.
+    sensor: (9,), its row of the table; the other arrays as in :func:`observe`.
     """
     observations, places, numbers = tables.observations, tables.places, tables.numbers
     p = numbers[sensor[P] : sensor[P + 1]]
     gather = places[sensor[GATHER] : sensor[GATHER + 1]]
-    columns = places[sensor[COLUMNS] : sensor[COLUMNS + 1]]
-    rows, n = sensor[ROWS], columns.shape[0]
-    x_one = np.empty(gather.shape[0])
+    shared = places[sensor[COLUMNS] : sensor[COLUMNS + 1]]
+    rows, known, own = sensor[ROWS], gather.shape[0], sensor[NUMBERED]
+    n = shared.shape[0] + own
+    x_one, columns = np.empty(known + own), np.empty(n, np.int64)
+    for j in range(n - own):
+        columns[j] = shared[j]
     r_buffer, h_buffer = _guarded(rows), _guarded(rows * n)
     r_one = r_buffer[GUARD : GUARD + rows]
     h_one = _matrix(h_buffer, GUARD, rows, n)
@@ -172,6 +178,9 @@ def _observe_run(
         _reset(r_buffer)
         _reset(h_buffer)
         _gather(x[one[EPOCH] - epoch], gather, x_one)
+        for j in range(own):
+            x_one[known + j] = x[one[EPOCH] - epoch, one[OWN_PLACE] + j]
+            columns[n - own + j] = one[OWN_COLUMN] + j
         q, z = numbers[one[Q_DATA] : one[Q_DATA + 1]], numbers[one[Z_DATA] : one[Z_DATA + 1]]
         status[i] = call_sensor(sensor[ADDRESS], p, q, z, x_one, r_one, h_one)
         wrong = min(_verdict(r_buffer), _verdict(h_buffer))

@@ -27,6 +27,7 @@ from relnav_graph.linear.sweep import (
     put_rows,
     sweep,
 )
+from relnav_graph.linear.tables import COLUMNS, NUMBERED, OWN_COLUMN
 from relnav_graph.maths.dense import SPARE
 
 __all__ = ["LENGTH", "MANY", "Segmented", "eliminate_segments"]
@@ -102,6 +103,23 @@ class Segmented(Conditionals):
         return self.top.last_covariance()
 
 
+def static_columns(assembly: Assembly, first: int, last: int) -> Indices:
+    """The columns of the static blocks, counted from their first, that the observations of epochs
+    first to last - 1 read, and the intervals after them."""
+    tables, n = assembly.tables, assembly.layout.moving.dim
+    seen = slice(*assembly.epoch_offsets[[first, last]])
+    sensors = tables.sensors[np.unique(assembly.sensor_of[seen])]
+    places = [
+        tables.places[model[COLUMNS] : model[COLUMNS + 1]]
+        for model in (*sensors, *tables.processes)
+    ]
+    own, dims = tables.observations[seen, OWN_COLUMN], tables.sensors[assembly.sensor_of[seen]]
+    dims = dims[:, NUMBERED]
+    places += [own[dims > j] + j for j in range(dims.max(initial=0))]
+    columns: Indices = np.unique(np.concatenate(places)) - n
+    return columns[columns >= 0]
+
+
 def eliminate_segments(
     assembly: Assembly,
     x: Array,
@@ -127,7 +145,7 @@ def eliminate_segments(
     known = np.zeros((0, n, n + m + 1))
     top, every = Conditionals.empty(len(begins), n, m), np.arange(m)
     spans = list(pairwise([*begins.tolist(), count]))
-    parts, reads = list[Array](), [assembly.static_columns(*span) for span in spans]
+    parts, reads = list[Array](), [static_columns(assembly, *span) for span in spans]
     room = max(FOLDED, n + m) + n + m + 1
     a, left, filled = np.zeros((n + m + room, start.shape[1])), np.empty((2 * room, m + 1)), 0
     a[:carried] = start[:carried]

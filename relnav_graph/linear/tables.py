@@ -32,7 +32,7 @@ __all__ = [
 class Tables(NamedTuple):
     """A pass for the compiled loops; the constants below name the columns.
 
-    sensors (sensors, 8), observations (observations, 8), processes (processes, 14): a row for
+    sensors (sensors, 9), observations (observations, 10), processes (processes, 14): a row for
     each; intervals (M, processes, 3): three for each interval and process; starts (M,): of
     the intervals, s; places: indices into a state or its tangent; numbers: constants of the
     models, data of the observations, whitening matrices and inputs, SI.
@@ -56,9 +56,11 @@ TABLES = types.NamedTuple(
 # COLUMNS, SCATTER and KINDS, and ROWS of a process, into the places.
 ADDRESS, P, GATHER, COLUMNS = 0, 1, 3, 5  # of sensors and of processes
 ROWS = 7  # of a sensor: number of rows of an observation; of a process: rows of F and Q
+NUMBERED = 8  # of a sensor: size of the numbered block that each observation reads, 0 for none
 SCATTER, WIDTH = 9, 11  # of processes: places of x_next; number of columns of u
 KINDS = 12  # of processes: of the blocks advanced, see `relnav_graph.core.state.Layout.kinds`
 SENSOR, EPOCH, ROW, Q_DATA, Z_DATA, WHITEN = 0, 1, 2, 3, 5, 7  # of observations
+OWN_PLACE, OWN_COLUMN = 8, 9  # of an observation's own numbered block, where its sensor reads one
 # Of intervals, for each process: where u begins, its number of rows, and whether their spreads
 # (rows, channels) follow.
 U_DATA, U_ROWS, SPREAD = 0, 1, 2
@@ -68,7 +70,7 @@ U_DATA, U_ROWS, SPREAD = 0, 1, 2
 def rows_of(observations: Indices, sensors: Indices, first: int, i: int) -> tuple[int, int]:
     """Start and number of the rows of observation first + i, counted from the rows of `first`.
 
-    observations: (observations, 8); sensors: (sensors, 8); see `Tables`.
+    observations: (observations, 10); sensors: (sensors, 9); see `Tables`.
     """
     one = observations[first + i]
     return one[ROW] - observations[first, ROW], sensors[one[SENSOR], ROWS]

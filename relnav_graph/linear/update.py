@@ -174,6 +174,7 @@ def update(
     rows: int,
     iterations: int,
     weight: Array,
+    ahead: Array,
     x: Array,
     P: Array,
 ) -> bool:
@@ -183,7 +184,8 @@ def update(
         with C C^T = P and R^T R = I + (H C)^T (H C)
 
     first, last: the observations of the epoch; rows: number of their rows; weight
-    (last - first,): square roots of their weights.
+    (last - first,): square roots of their weights; ahead (n,): the step from x to where it is
+    linearised first.
 
     One iteration is the extended Kalman filter; more are Gauss-Newton steps towards the
     maximum a posteriori (Bell and Cathey 1993). A step is halved while the cost grows, and
@@ -201,10 +203,14 @@ def update(
     for i in range(n):
         for j in range(n):
             C[i, j] = scale[i] * L[i, j]
-    at, step, e = np.empty((1, x.shape[0])), np.empty((1, n)), np.zeros(n)
+    at, step, e = np.empty((1, x.shape[0])), np.empty((1, n)), ahead.copy()
+    cost = 0.0
+    if sum_of_squares(e) > 0.0:
+        dense.put_vector(x, 0, retract(x0, e, kinds))
+        cost = _squared_length(L, scale, e)
     dense.put_vector(at[0], 0, x)
     observe(tables, first, last, epoch, at, weight, r, H, status)
-    cost = sum_of_squares(r)
+    cost += sum_of_squares(r)
     for _ in range(iterations):
         copy(H, H0)
         times_jacobian(H0, e, kinds, False)  # to perturbations in the tangent of x0
@@ -213,9 +219,9 @@ def update(
             for j in range(n):
                 innovation[i] -= H0[i, j] * e[j]
         _least_squares(H0, C, innovation, a)
-        ahead = _solution(C, a)
+        found_step = _solution(C, a)
         for j in range(n):
-            step[0, j] = ahead[j] - e[j]
+            step[0, j] = found_step[j] - e[j]
         times_transposed_jacobian(step, e, kinds, False)  # to the tangent of x
         if iterations == 1:
             dense.put_vector(x, 0, retract(x, step[0], kinds))
@@ -262,6 +268,7 @@ def robust_update(
     losses: Array,
     innovations: Array,
     weight: Array,
+    ahead: Array,
     x: Array,
     P: Array,
 ) -> bool:
@@ -269,8 +276,8 @@ def robust_update(
 
     losses (last - first, 2): kind and tuning; innovations (last - first,): mean squares of the
     normalised innovations, for the first weights. weight (last - first,): 1 to use an
-    observation or 0 to leave it out before, square roots of the weights after. x (size,) and
-    P (n, n) are updated in place.
+    observation or 0 to leave it out before, square roots of the weights after; ahead (n,): see
+    there. x (size,) and P (n, n) are updated in place.
     """
     count = last - first
     robust = False
@@ -296,7 +303,7 @@ def robust_update(
             break
         dense.put_vector(x, 0, x0)
         copy(P0, P)
-        if not update(tables, kinds, epoch, first, last, rows, iterations, weight, x, P):
+        if not update(tables, kinds, epoch, first, last, rows, iterations, weight, ahead, x, P):
             return False
         if not robust:
             break
