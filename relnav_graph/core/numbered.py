@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,15 @@ from relnav_graph.core.contracts import ReadsNumbered, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
 
-__all__ = ["families", "first_seen", "members", "number_in", "numbered_of", "unnumbered"]
+__all__ = [
+    "families",
+    "first_seen",
+    "members",
+    "number_in",
+    "numbered_of",
+    "times_seen",
+    "unnumbered",
+]
 
 _NUMBERED = re.compile(r"(.+)\[(\d+)\]")
 
@@ -38,6 +47,19 @@ def first_seen(
         if block is not None:
             out.update(dict.fromkeys(block.numbered(int(i)) for i in m.ids))
     return tuple(out)
+
+
+def times_seen(
+    sensors: Mapping[str, Sensor], measurements: Iterable[Measurement]
+) -> dict[str, int]:
+    """How many observations there are of each numbered block, by its name."""
+    found: Counter[str] = Counter()
+    own = {name: numbered_of(sensor) for name, sensor in sensors.items()}
+    for m in measurements:
+        block = own.get(m.sensor)
+        if block is not None:
+            found.update(block.numbered(int(i)).name for i in m.ids)
+    return dict(found)
 
 
 def unnumbered(block: Block) -> Block:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["study_table", "table"]
+__all__ = ["ALIGNMENT", "explain_table", "study_table", "table"]
 
 
 def _text(value: float | None, form: str = ".4g") -> str:
@@ -132,7 +132,7 @@ def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> l
     counts = {n: one.get("count") for row in having.values() for n, one in row["statics"].items()}
     parts = [
         (
-            _with_unit(n if counts[n] is None else f"{n}, {counts[n]} of them", unit),
+            _with_unit(n if counts[n] is None else f"{n}, {counts[n]:g} of them", unit),
             {r: row["statics"][n] for r, row in having.items() if n in row["statics"]},
         )
         for n, unit in units.items()
@@ -154,7 +154,7 @@ def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> l
 
 
 #: Numbers of an alignment, and how the table calls them.
-_ALIGNMENT = {
+ALIGNMENT = {
     "rotation_deg": "turn of the map [deg]",
     "shift_m": "shift of the map [m]",
     "map_rmse_m": "map, rmse [m]",
@@ -171,7 +171,7 @@ def _aligned_maps(rows: Mapping[str, Any]) -> list[str]:
         return []
     table = [
         [title, *(_text(one.get(key)) for one in having.values())]
-        for key, title in _ALIGNMENT.items()
+        for key, title in ALIGNMENT.items()
         if any(key in one for one in having.values())
     ]
     for state, unit in {
