@@ -141,7 +141,7 @@ class Quantity:
 
     Scenario files may give it as a string with any unit of the same kind; code gives SI.
     shape: () for a number; None in a shape stands for any length. fill: one number may
-    stand for all axes.
+    stand for all axes. words: what it may be instead of a value.
     """
 
     unit: str
@@ -149,16 +149,20 @@ class Quantity:
     positive: bool = False
     nonnegative: bool = False
     fill: bool = False
+    words: tuple[str, ...] = ()
 
     def check(self, value: Any) -> Any:
         """`value` as a float, or as a read-only C-contiguous float64 array.
 
         Raises InputError on a wrong shape, a value that is not finite, or a wrong sign.
         """
+        if isinstance(value, str) and value in self.words:
+            return value
         try:
             array = np.array(value, dtype=np.float64, order="C")
         except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"found {value!r}, expected numbers in {self.unit}") from error
+            words = "".join(f" or {word!r}" for word in self.words)
+            raise InputError(f"found {value!r}, expected numbers in {self.unit}{words}") from error
         if self.fill and array.ndim == 0:
             array = np.full([n or 1 for n in self.shape], array)
         if len(array.shape) != len(self.shape) or any(
@@ -179,7 +183,8 @@ class Quantity:
 
     def parse(self, value: Any) -> Any:
         """`value` of a scenario file (numbers in SI, or strings with units), checked."""
-        return self.check(_parse_nested(value, self.unit))
+        word = isinstance(value, str) and (value in self.words or (self.words and self.shape))
+        return self.check(value if word else _parse_nested(value, self.unit))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema  # only scenario files need pydantic
@@ -190,6 +195,8 @@ class Quantity:
         items: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
         for _ in self.shape:
             items = {"type": "array", "items": items}
+        if self.words:
+            items = {"anyOf": [items, {"enum": list(self.words)}]}
         return {**items, "description": f"SI unit {self.unit}; strings may name another"}
 
 

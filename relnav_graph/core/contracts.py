@@ -25,6 +25,7 @@ __all__ = [
     "KnowsInertialOrbit",
     "KnowsOrbit",
     "KnowsTorque",
+    "Mappable",
     "Mountable",
     "NamesDirections",
     "ProposesStarts",
@@ -250,6 +251,15 @@ class ReadsNumbered(Protocol):
         alone: origins (k, 3) and lines (k, 3) in the frame of the block, m. A block is at origin +
         line where the sensor sees depth, else somewhere along the line, which has length one. NaN
         where an observation tells nothing."""
+
+
+@runtime_checkable
+class Mappable(Protocol):
+    """A sensor of unknown points that can be given them, for the simulator."""
+
+    def mapped(self, points: Array, normals: Array | None) -> Sensor:
+        """The same sensor with points (n, 3) in t, m, by id, that are known; normals (n, 3):
+        outward, None where points are seen from all sides."""
 
 
 @runtime_checkable

@@ -23,7 +23,8 @@ class Measurement:
 
     sensor: name in the problem; t: time of validity, s; z: (k, nz) measured values, in the
     units that the sensor's `columns` name and the frame that the sensor says; ids: (k,) which
-    beacon or point each row belongs to; t_arrival: when it became known, s.
+    beacon or point each row belongs to; t_arrival: when it became known, s. wrong: of a simulated
+    one, those ids whose row is another point's; for scores alone, estimators do not look at it.
     Raises InputError on a value that is not finite or on sizes that do not match.
     """
 
@@ -32,6 +33,7 @@ class Measurement:
     z: Array
     ids: Indices
     t_arrival: float | None = None
+    wrong: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"sensor {self.sensor!r} at t = {self.t} s"

@@ -211,6 +211,11 @@ class Recording:
     truth: Truth | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def misassociated(self) -> frozenset[tuple[str, float, int]]:
+        """Sensor, time (s) and id of the simulated observations that are another point's."""
+        return frozenset((m.sensor, m.t, i) for m in self.measurements for i in m.wrong)
+
     def shifted(self, by: float) -> Recording:
         """The same with `by`, s, added to every time."""
         if not by:

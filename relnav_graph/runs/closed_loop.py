@@ -159,7 +159,8 @@ class ClosedLoop:
         values = {n: np.array([v[n] for v in self._values]) for n in needed}
         known = {n: values[n] for n in names}
         known |= self._law.control_errors(values)
-        return Truth(self.times[: len(self._values)], known, self.scenario.truth.source)
+        truth = Truth(self.times[: len(self._values)], known, self.scenario.truth.source)
+        return self.scenario.with_map(truth)
 
 
 def flies(kind: str) -> bool:

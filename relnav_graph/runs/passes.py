@@ -142,7 +142,8 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     ).shifted(-time.origin)
     if found.truth is None:
         return found
-    return replace(found, truth=with_true_copies(found.truth, scenario.sensors))
+    truth = with_true_copies(found.truth, scenario.sensors)
+    return replace(found, truth=scenario.with_map(truth))
 
 
 def _need_folder(folder: Path) -> None:

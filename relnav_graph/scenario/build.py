@@ -14,6 +14,7 @@ from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
 from relnav_graph.core.copies import with_copiers
 from relnav_graph.core.measurement import Bridge
+from relnav_graph.core.numbered import families
 from relnav_graph.core.problem import check_orbits, layout_of
 from relnav_graph.core.state import Layout
 from relnav_graph.core.steps import check_steps
@@ -26,6 +27,7 @@ from relnav_graph.scenario.gaps import make_bridges
 from relnav_graph.scenario.priors import check_prior, true_statics
 from relnav_graph.scenario.scenario import Scenario, freed
 from relnav_graph.scenario.schema import (
+    BESIDE_TRUTH,
     MISSING,
     Problems,
     ScenarioError,
@@ -37,6 +39,7 @@ from relnav_graph.scenario.schema import (
     shared_orbit,
 )
 from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules, strange_values
+from relnav_graph.scenario.true_map import true_map
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 from relnav_graph.sim.contracts import (
     ControlledTruth,
@@ -210,7 +213,7 @@ def make_scenario(
         _check_choices(file, problems)
         _check_names(file, made["processes"], problems)
     layout, every = None, Layout(())  # with all mountings in the state
-    bridges, statics = dict[str, Bridge](), dict[str, Array]()
+    bridges, statics, points = dict[str, Bridge](), dict[str, Array](), None
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
@@ -225,8 +228,12 @@ def make_scenario(
         options |= {key: SensorOptions() for key in sensors if key not in options}
         priors = copy_priors(sensors, layout) | file.prior
         file = file.model_copy(update={"prior": priors})
-        check_prior(layout, file, problems, every)
-        statics = true_statics(every, (file.truth or {}).get("statics", {}), problems)
+        # What a sensor reads that waits for the data is not known yet.
+        spare = file.prior if waiting and len(made["sensors"]) < len(file.sensors) else every
+        check_prior(layout, file, problems, families(sensors), spare)
+        told = file.truth or {}
+        statics = true_statics(every, told.get("statics", {}), problems)
+        points = true_map(told.get("map"), sensors, settings, file.simulated, problems)
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)
@@ -240,6 +247,7 @@ def make_scenario(
     return Scenario(
         *(name, file, merged, made["processes"], made["sensors"], options),
         *(truth, inputs, layout, control, bridges, statics),
+        map=points,
     )
 
 
@@ -248,8 +256,9 @@ def _make_truth(
 ) -> tuple[Any, dict[str, Any]]:
     truth, inputs = None, {}
     own = raw.get("truth")
-    if isinstance(own, Mapping) and list(own) != ["statics"]:
-        own = shared_orbit(TRUTHS, {k: v for k, v in own.items() if k != "statics"}, orbit)
+    if isinstance(own, Mapping) and not own.keys() <= BESIDE_TRUTH:
+        model = {k: v for k, v in own.items() if k not in BESIDE_TRUTH}
+        own = shared_orbit(TRUTHS, model, orbit)
         truth = make_kind(TRUTHS, "truth", own, problems)
         if truth is not None and not isinstance(truth, SimulatedTruth | DrivenTruth):
             problems.append(("truth.kind", f"found {own['kind']!r}, expected a truth"))

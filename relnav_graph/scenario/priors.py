@@ -16,7 +16,7 @@ from relnav_graph.maths import so3
 from relnav_graph.scenario.schema import BlockPrior, Problems, ScenarioFile
 from relnav_graph.units import Quantity
 
-__all__ = ["check_prior", "make_prior", "true_statics"]
+__all__ = ["check_prior", "make_prior", "numbered_priors", "true_statics"]
 
 
 def _prior_sigma(block: Block, value: Any) -> Array:
@@ -38,22 +38,29 @@ def _prior_mean(block: Block, value: list[Any]) -> Array:
 
 
 def check_prior(
-    layout: Layout, file: ScenarioFile, problems: Problems, spare: Container[str] = ()
+    layout: Layout,
+    file: ScenarioFile,
+    problems: Problems,
+    numbered: Mapping[str, Block],
+    spare: Container[str] = (),
 ) -> None:
     """Note in `problems` what is wrong with the priors of a file.
 
-    spare: names of blocks that may have one, and are not in the state as it is.
+    numbered: families of numbered blocks, each with one prior; spare: names of blocks that may
+    have one, and are not in the state as it is.
     """
-    names = [b.name for b in layout]
+    names = [*(b.name for b in layout), *numbered]
     for name in file.prior:
         if name not in names and name not in spare:
             problems.append((f"prior.{name}", f"unknown block; the state has {', '.join(names)}"))
-    for block in layout:
+    for block in (*layout, *numbered.values()):
         prior = file.prior.get(block.name)
         if prior is None:
-            static = (
-                " (it is static: no process advances it)" if block.name in layout.statics else ""
-            )
+            static = " (it is static: no process advances it)"
+            if block.name in numbered:
+                static = " (here one for each, where no sensor knows them)"
+            elif block.name not in layout.statics:
+                static = ""
             message = f"missing: every block needs a prior{static}"
             problems.append((f"prior.{block.name}", message))
             continue
@@ -66,6 +73,19 @@ def check_prior(
                 _prior_mean(block, prior.mean)
         except InputError as error:
             problems.append((f"prior.{block.name}.mean", str(error)))
+
+
+def numbered_priors(
+    numbered: Mapping[str, Block], priors: Mapping[str, BlockPrior]
+) -> dict[str, Prior]:
+    """The prior of each block of a family, x (size,), P (dim, dim), by the family's name: about its
+    mean, zero where there is none."""
+    out = {}
+    for name, block in numbered.items():
+        mean = priors[name].mean
+        x = _prior_mean(block, mean) if isinstance(mean, list) else np.zeros(block.size)
+        out[name] = Prior(x, np.diag(_prior_sigma(block, priors[name].sigma) ** 2))
+    return out
 
 
 def true_statics(layout: Layout, tables: Any, problems: Problems) -> dict[str, Array]:
@@ -105,16 +125,18 @@ def make_prior(
 
     Raises InputError when it needs a truth that is not known.
     """
-    sigma = np.concatenate([_prior_sigma(b, priors[b.name].sigma) for b in layout])
+    sigma = np.concatenate([_prior_sigma(b, priors[b.family].sigma) for b in layout])
     draw = sigma * rng.standard_normal(layout.dim)
     means: dict[str, Array] = {}
     for block in layout:
-        mean = priors[block.name].mean
+        prior = priors[block.family]
+        mean = prior.mean
         if isinstance(mean, list):
             means[block.name] = _prior_mean(block, mean)
             draw[layout.tangent(block.name)] = 0.0
             continue
-        if mean == "measured":  # the identity, until the first frames give a value
+        default = block.number is not None and "mean" not in prior.model_fields_set
+        if mean == "measured" or default:  # the identity, until the first frames give a value
             means[block.name] = block.unpack(layout.identity[layout.stored(block.name)])
             draw[layout.tangent(block.name)] = 0.0
             continue
@@ -124,9 +146,10 @@ def make_prior(
             if there[0]:
                 value = truth.values[block.name][rows[0]]
         if not np.isfinite(value).all():
+            of = "" if block.number is None else f" of {block.name}"
             raise InputError(
-                f"prior.{block.name}: mean = {mean!r} needs the truth at t = {t} s, which is"
-                " not known; give the mean as values"
+                f"prior.{block.family}: mean = {mean!r} needs the truth at t = {t} s, which is"
+                f" not known{of}; give the mean as values"
             )
         means[block.name] = value
         if mean == "truth":

@@ -15,18 +15,20 @@ from relnav_graph.core.contracts import CopiesBlocks, Dynamics, Mountable, Senso
 from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
 from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.measurement import SAME_TIME, Bridge
+from relnav_graph.core.numbered import families, first_seen
 from relnav_graph.core.problem import Prior, Problem
-from relnav_graph.core.state import Layout
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths.losses import Loss
 from relnav_graph.scenario.first_estimate import initialise
-from relnav_graph.scenario.priors import make_prior
+from relnav_graph.scenario.priors import make_prior, numbered_priors
 from relnav_graph.scenario.schema import (
     ScenarioFile,
     SensorOptions,
 )
+from relnav_graph.scenario.true_map import TrueMap
 from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
 from relnav_graph.sim.contracts import Controller
 from relnav_graph.sim.passes import simulate, with_statics
@@ -51,7 +53,8 @@ class Scenario:
     """A checked scenario: settings and models, ready to meet simulated or recorded data.
 
     statics: true values of static blocks that the truth does not give itself, (3, 3) or (dim,), SI.
-    Of a mounting that the estimators take for known, too, so that it can be another one.
+    Of a mounting that the estimators take for known, too, so that it can be another one. map: the
+    true points that no sensor knows.
     """
 
     name: str
@@ -66,6 +69,12 @@ class Scenario:
     control: Controller | None = None
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
     statics: Mapping[str, Array] = field(default_factory=dict)
+    map: TrueMap | None = None
+
+    @property
+    def numbered_priors(self) -> dict[str, Prior]:
+        """The prior of each numbered block that the sensors read, by the name of its family."""
+        return numbered_priors(families(self.sensors), self.file.prior)
 
     @property
     def gates(self) -> dict[str, float]:
@@ -130,13 +139,18 @@ class Scenario:
     @property
     def true_sensors(self) -> dict[str, Sensor]:
         """The sensors that measure, as they are simulated: mounted as `statics` says, where it
-        does."""
+        does, and of known points."""
         free, known = freed(self.sensors), self.statics
-        return {
+        measuring = {
             name: free[name] if any(b.name in known for b in free[name].reads) else sensor
             for name, sensor in self.sensors.items()
             if not isinstance(sensor, CopiesBlocks)
         }
+        return measuring if self.map is None else self.map.given_to(measuring)
+
+    def with_map(self, truth: Truth) -> Truth:
+        """A truth with the points of the map, where there is one, at all its times (N,)."""
+        return truth if self.map is None else with_statics(truth, self.map.values)
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not
@@ -158,9 +172,9 @@ class Scenario:
         return replace(found, truth=found.truth and self._scored(found.truth))
 
     def _scored(self, truth: Truth) -> Truth:
-        """What of a truth is of this state."""
+        """What of a truth is of this state, and the map."""
         known = {n: v for n, v in truth.values.items() if n in self.layout or n not in self.statics}
-        return replace(truth, values=known)
+        return self.with_map(replace(truth, values=known))
 
     def completed(self, recording: Recording, seed: int, run: int = 0) -> Recording:
         """A recording with the true statics, and the sensors that [data] has simulated on its
@@ -204,7 +218,9 @@ class Scenario:
             recording.times,
             self.file.time.tolerance,
         )
-        problem = self.problem_at(self.prior(recording.truth, epochs[0].t, seed, run), epochs)
+        numbered = first_seen(self.sensors, (m for e in epochs for m in e.measurements))
+        prior = self.prior(recording.truth, epochs[0].t, seed, run, numbered)
+        problem = self.problem_at(prior, epochs)
         if copiers(self.sensors):
             seen = [m for epoch in problem.epochs for m in epoch.measurements]
             check_copied(seen, self.sensors, {m.sensor: 1 for m in seen})
@@ -212,7 +228,7 @@ class Scenario:
             problem = replace(problem, prior=initialise(problem, self.measured))
         prior = problem.prior
         for m in epochs[0].measurements:
-            reason = wrong_unit(self.sensors[m.sensor], m, self.layout, prior.x, prior.P)
+            reason = wrong_unit(self.sensors[m.sensor], m, problem.layout, prior.x, prior.P)
             if reason is not None:
                 raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")
         self._check_inputs(problem)
@@ -229,7 +245,7 @@ class Scenario:
                 u: Mapping[str, Array], t0: float = t, t1: float = epoch.t, at: Any = (x, P)
             ) -> tuple[Array, Array]:
                 ahead = [Epoch(t1, (), u)]
-                return Assembly(self.layout, self.processes, {}, ahead, t0).predict(*at)
+                return Assembly(problem.layout, self.processes, {}, ahead, t0).predict(*at)
 
             if epoch.measurements:
                 reason = wrong_input(problem, epoch.measurements, epoch.inputs, predict)
@@ -241,16 +257,29 @@ class Scenario:
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""
         models, options = (self.processes, self.sensors), (self.gates, self.file.online.window)
-        problem = Problem(*models, prior, tuple(epochs), *options, self.losses)
-        return replace(problem, bridges=self.bridges, merge=self.file.time.tolerance)
+        return Problem(
+            *(*models, prior, tuple(epochs), *options, self.losses),
+            bridges=self.bridges,
+            merge=self.file.time.tolerance,
+            numbered=self.numbered_priors,
+        )
 
-    def prior(self, truth: Truth | None, t: float, seed: int, run: int = 0) -> Prior:
-        """The prior at time t, s, drawn about the truth where it has no mean.
+    def prior(
+        self,
+        truth: Truth | None,
+        t: float,
+        seed: int,
+        run: int = 0,
+        numbered: Sequence[Block] = (),
+    ) -> Prior:
+        """The prior at time t, s, drawn about the truth where it has no mean; with that of numbered
+        blocks after it.
 
         Raises InputError when it needs a truth that is not known.
         """
         rng = stream(seed, run, "prior")
-        return make_prior(self.layout, self.file.prior, truth, t, rng)
+        layout = Layout(self.layout.moving, (*self.layout.statics, *numbered))
+        return make_prior(layout, self.file.prior, truth, t, rng)
 
     def prior_with(self, means: Mapping[str, Array], t: float) -> Prior:
         """The prior at time t, s, with `means` for blocks whose mean the scenario leaves open.

@@ -55,6 +55,8 @@ def _checked_bound(value: float | str) -> float | str:
 #: Characters of a message.
 _LONGEST = 1000
 MISSING = "missing, and required"
+#: What [truth] may tell of recorded data: true values that no model of a truth gives.
+BESIDE_TRUTH = {"statics", "map"}
 Seconds = Annotated[float, Quantity("s", positive=True)]
 Bound = Annotated[float | str, AfterValidator(_checked_bound)]
 _STRICT = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
@@ -133,7 +135,9 @@ class SensorOptions(BaseModel):
     gate: probability of the chi-square gate on each observation; loss: a robust loss, tuning:
     its constant in sigmas. In simulation: period, between measurements, from begin until
     before end; law of the noise, "gaussian" or "random_direction" (of a normal length along a
-    direction drawn at random, of the same covariance); outliers.
+    direction drawn at random, of the same covariance); outliers; most: observations of one time,
+    drawn from all that are seen; association_errors: fraction of the observations that get the
+    values of another one of the same time.
     """
 
     model_config = _STRICT
@@ -146,6 +150,8 @@ class SensorOptions(BaseModel):
     end: Seconds | None = None
     law: Law = "gaussian"
     outliers: OutlierSettings | None = None
+    most: int | None = Field(default=None, ge=1)
+    association_errors: float = Field(default=0.0, ge=0, lt=1)
 
     @model_validator(mode="after")
     def _in_order(self) -> SensorOptions:
@@ -157,10 +163,10 @@ class SensorOptions(BaseModel):
         """The settings as the simulator takes them."""
         begin = -math.inf if self.begin is None else self.begin
         end = math.inf if self.end is None else self.end
-        if self.outliers is None:
-            return Timing(self.period, begin=begin, end=end, law=self.law)
-        struck = self.outliers.fraction, self.outliers.size
-        return Timing(self.period, *struck, begin, end, self.law)
+        o = self.outliers
+        struck = (0.0, 0.0) if o is None else (o.fraction, o.size)
+        few = self.most, self.association_errors
+        return Timing(self.period, *struck, begin, end, self.law, *few)
 
 
 class OnlineSettings(BaseModel):
@@ -191,7 +197,10 @@ class BlockPrior(BaseModel):
 
     mean: "drawn" about the truth with sigma (simulation only), "truth" itself, "measured"
     by the first frames, or values (an attitude as a rotation vector, or as q_wxyz: scalar first,
-    normalised within 1e-3).
+    normalised within 1e-3). Of a family of blocks (`point`, of an unknown map) one prior stands for
+    each: values, by default zero, or "measured", which is the same: a point starts from where it is
+    first seen, and is within sigma of the target's centre of mass; or "drawn" or "truth", written
+    out, of each its own.
     """
 
     model_config = _STRICT
@@ -214,6 +223,11 @@ class ScenarioFile(BaseModel):
     a prior are given; what the truth itself gives needs none. For recorded data it may stand alone.
     With mounting = "known", the blocks that "estimated" would have: the sensor is simulated with
     them, and the estimators know nothing of it.
+
+    truth.map: the true points, by id, of sensors with points = "unknown": `points` and maybe
+    `normals` of each, or a generated one, { count = 50, box = ["1 m", "1 m", "0.6 m"], seed = 1 }:
+    drawn uniformly on the surface of that cuboid about the centre of mass, with its normals. For
+    recorded data it is for scores alone; by default, what the data bring.
 
     prior: of every block of the state: what the processes advance, and what is read by a model and
     advanced by no process, which is static: one value for the whole pass.
@@ -244,7 +258,7 @@ class ScenarioFile(BaseModel):
     @property
     def simulated(self) -> bool:
         """Whether there is a truth to simulate from, not only values for recorded data."""
-        return self.truth is not None and list(self.truth) != ["statics"]
+        return self.truth is not None and not self.truth.keys() <= BESIDE_TRUTH
 
 
 def _path(prefix: str, location: Sequence[int | str]) -> str:

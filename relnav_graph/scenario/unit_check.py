@@ -17,6 +17,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError
@@ -44,14 +45,22 @@ def _misfit(
     sensor: Sensor, m: Measurement, layout: Layout, x: Array, P: Array
 ) -> tuple[float, int]:
     """r^T S^-1 r with S = H P H^T + R at the state x (size,) of covariance P (n, n); rows of r."""
-    values = layout.values(x)
-    r, jacobians = sensor.residual(m, *(values[b.name] for b in sensor.reads))
-    _, columns = layout.gather(sensor.reads)
-    H = np.hstack(jacobians)
+    values, own = layout.values(x), numbered_of(sensor)
+    blocks = [] if own is None else [own.numbered(int(i)) for i in m.ids]
+    given = [values[b.name] for b in sensor.reads]
+    if own is not None:
+        given.append(np.array([values[b.name] for b in blocks]))
+    r, jacobians = sensor.residual(m, *given)
+    H = np.hstack(jacobians[: len(sensor.reads)])
+    if own is not None:  # each row reads the block of its own observation
+        rows = np.arange(len(r)).reshape(len(blocks), -1)
+        each = [np.where(np.isin(np.arange(len(r)), k)[:, None], jacobians[-1], 0.0) for k in rows]
+        H = np.hstack([H, *each])
+    _, columns = layout.gather([*sensor.reads, *blocks])
     S = H @ P[np.ix_(columns, columns)] @ H.T
     for k, R in enumerate(sensor.noise(m)):
-        rows = slice(k * sensor.rows, (k + 1) * sensor.rows)
-        S[rows, rows] += R
+        part = slice(k * sensor.rows, (k + 1) * sensor.rows)
+        S[part, part] += R
     return float(r @ np.linalg.solve(S, r)), len(r)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -34,7 +34,9 @@ class Timing:
     until before `end`, s, with a fraction of outliers, off by `outlier_size` sigmas.
 
     law: of the noise, "gaussian", or "random_direction": of a normal length along a
-    direction drawn at random, of the same covariance.
+    direction drawn at random, of the same covariance. most: observations of one time, drawn from
+    all that there are; None: all. association_errors: fraction of the observations that get the
+    values of another one of the same time.
     """
 
     period: float | None = None
@@ -43,6 +45,8 @@ class Timing:
     begin: float = -np.inf
     end: float = np.inf
     law: Law = "gaussian"
+    most: int | None = None
+    association_errors: float = 0.0
 
     def fires(self, t: float, t0: float) -> bool:
         if not self.begin - SAME_TIME < t < self.end - SAME_TIME:
@@ -82,6 +86,17 @@ def _with_outliers(e: Array, timing: Timing, rng: np.random.Generator) -> Array:
     return out
 
 
+def _confused(m: Measurement, fraction: float, rng: np.random.Generator) -> Measurement:
+    """A measurement with a fraction of its rows replaced by those of others."""
+    count = len(m.ids)
+    struck = rng.random(count) < fraction
+    other = (np.arange(count) + rng.integers(1, max(count, 2), count)) % count
+    if count < 2 or not struck.any():
+        return m
+    z = np.where(struck[:, None], m.z[other], m.z)
+    return replace(m, z=z, wrong=tuple(m.ids[struck].tolist()))
+
+
 def check_known(name: str, sensor: Sensor, values: Mapping[str, Array]) -> None:
     """Raise InputError when a truth with these values lacks a block that a sensor reads.
 
@@ -112,13 +127,19 @@ def measure_once(
     seen, rows = _seen(now, now.in_view(now.observables(), *x), x)
     if not len(seen):
         return None
+    if timing.most is not None and len(seen) > timing.most:
+        kept = np.sort(rng.choice(len(seen), timing.most, replace=False))
+        seen, rows = seen[kept], rows[kept]
     clean = Measurement(name, t, rows, seen)
     R = sensor.noise(clean)
     unit = _unit_noise(timing.law, R.shape[:2], rng)
     if outliers is not None and timing.outlier_fraction > 0:
         unit = _with_outliers(unit, timing, outliers)
     e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
-    return Measurement(name, t, sensor.perturb(clean.z, e), clean.ids)
+    found = Measurement(name, t, sensor.perturb(clean.z, e), clean.ids)
+    if outliers is not None and timing.association_errors > 0:
+        found = _confused(found, timing.association_errors, outliers)
+    return found
 
 
 def measure(
@@ -131,7 +152,8 @@ def measure(
 ) -> list[Measurement]:
     """What a sensor would have measured: the model at the truth, with its noise.
 
-    outliers: the stream that these are drawn from: all other noise is as without them.
+    outliers: the stream that these, and wrong associations, are drawn from: all other noise is as
+    without them.
 
     An observation that is impossible at the truth, such as a point behind the camera, is
     one that is not seen. Raises InputError when the truth lacks a block.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import draw_block
-from example_kinds import DynamicsExample, SensorExample
+from example_kinds import DynamicsExample, SensorExample, reads_of
 from examples import EXAMPLES, stereo
 from passes import ZHANG
 from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
@@ -27,6 +27,7 @@ from relnav_factors.sensors.star_tracker import StarTracker
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import make_epochs
 from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Block
 from relnav_graph.errors import GeometryError, InputError
@@ -55,10 +56,12 @@ def test_row_47_no_state_makes_a_kernel_fail_without_a_word(kind: str, i: int, s
     rng, example = np.random.default_rng(47), EXAMPLES[kind][i]
     model: Any = example.model
     if isinstance(example, SensorExample):
-        ids = model.observables()
-        seen = example.draw(rng, "near")
+        ids, seen = model.observables(), example.draw(rng, "near")
+        x = [placed(b, size, rng) for b in reads_of(model)]
+        if numbered_of(model) is not None:
+            ids = ONE
+            seen, x = (*seen[:-1], seen[-1][None]), [*x[:-1], x[-1][None]]
         z = model.predict(ids, *seen)
-        x = [placed(b, size, rng) for b in model.reads]
         call, arguments = model.residual, (Measurement("s", 1.0, z, ids), *x)
     elif isinstance(example, DynamicsExample):
         x = [placed(b, size, rng) for b in model.advances + model.reads]

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 from draws import REGIMES, draw_block, scale_of
-from example_kinds import DerivedExample, DynamicsExample, SensorExample
+from example_kinds import DerivedExample, DynamicsExample, SensorExample, reads_of
 from examples import EXAMPLES
 from numeric import assert_jacobian, blocks_of, differences, steps_for
 from scipy.special import chdtri
@@ -25,6 +25,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Derived, Dynamics, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import ENTRY_POINTS
+from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import check_covariance
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import GeometryError, InputError
@@ -124,7 +125,8 @@ def test_constructor_refuses_bad_numbers_and_names_the_field(name: str) -> None:
     model = ALL[name].model
     for key, hint in options(type(model)):
         for quantity in getattr(hint, "__metadata__", ()):
-            if isinstance(quantity, Quantity) and getattr(model, key) is not None:
+            # Not of an option that is not given, or given by a word.
+            if isinstance(quantity, Quantity) and not isinstance(getattr(model, key), str | None):
                 for bad in bad_values(quantity, getattr(model, key)):
                     with pytest.raises(InputError, match=rf"{type(model).__name__}\.{key}: found"):
                         dataclasses.replace(model, **{key: bad})
@@ -169,6 +171,15 @@ class Look:
     x: Array
 
 
+def arguments(model: Any, x: Array, count: int) -> list[Array]:
+    """What the methods of a sensor take at a state of `reads_of`, for so many observations: of a
+    numbered block, its value for each of them."""
+    values = list(Layout(reads_of(model)).values(x).values())
+    if numbered_of(model) is not None:
+        values[-1] = np.tile(values[-1], (count, 1))
+    return values
+
+
 def looks(name: str, regime: str) -> list[Look]:
     """Seeded measurements and states; the same for every test."""
     return _looks(name, regime)
@@ -177,13 +188,16 @@ def looks(name: str, regime: str) -> list[Look]:
 @cache
 def _looks(name: str, regime: str) -> list[Look]:
     example, rng = SENSORS[name], seed_of(name, regime)
-    model, layout = example.model, Layout(example.model.reads)
-    known, found = model.observables(), list[Look]()
+    model, layout = example.model, Layout(reads_of(example.model))
+    # Where each reads a block of its own, whatever its number.
+    numbers = model.observables() if numbered_of(model) is None else np.array([7, 0, 10**6])
+    known, found = numbers, list[Look]()
     while len(found) < states_of(name):
         ids = rng.choice(known, size=min(3, len(known)), replace=False)
         values = example.draw(rng, regime)
         x_true = layout.pack(dict(zip([b.name for b in layout], values, strict=True)))
-        clean = Measurement("s", 1.0, model.predict(ids, *values), ids)
+        at_truth = arguments(model, x_true, len(ids))
+        clean = Measurement("s", 1.0, model.predict(ids, *at_truth), ids)
         R = model.noise(clean)
         e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.normal(size=R.shape[:2]))
         m = Measurement("s", 1.0, model.perturb(clean.z, e), ids)
@@ -195,7 +209,7 @@ def _looks(name: str, regime: str) -> list[Look]:
             step = [np.full(b.dim, share * example.step.get(b.name, 0.1)) for b in layout]
             x = layout.retract(x_true, np.concatenate(step) * rng.normal(size=layout.dim))
         try:
-            r, _ = model.residual(m, *layout.values(x).values())
+            r, _ = model.residual(m, *arguments(model, x, len(ids)))
         except GeometryError:
             continue
         r = r.reshape(len(ids), -1)
@@ -211,17 +225,17 @@ def _looks(name: str, regime: str) -> list[Look]:
 def test_sensor_jacobians_agree_with_central_differences(name: str, regime: str) -> None:
     """At residuals that are anything but zero, too."""
     model = SENSORS[name].model
-    layout = Layout(model.reads)
-    inputs = sizes(model.reads, "moderate")
+    layout = Layout(reads_of(model))
+    inputs = sizes(layout.blocks, "moderate")
     for look in looks(name, regime):
-        values = layout.values(look.x).values()
+        values = arguments(model, look.x, len(look.m.ids))
         r, parts = model.residual(look.m, *values)
         assert r.shape == (len(look.m.ids) * model.rows,)
         assert [p.shape for p in parts] == [(len(r), b.dim) for b in layout]
         H, scale = np.hstack(parts), np.sqrt(np.diagonal(model.noise(look.m), 0, 1, 2)).ravel()
 
         def f(d: Array, m: Measurement = look.m, x: Array = look.x) -> Array:
-            out: Array = model.residual(m, *layout.values(layout.retract(x, d)).values())[0]
+            out: Array = model.residual(m, *arguments(model, layout.retract(x, d), len(m.ids)))[0]
             return out
 
         outputs = np.abs(H * inputs).max(axis=1)  # no step moves a row by more than 1e-3 of it
@@ -236,7 +250,7 @@ def test_sensor_shapes_and_noise(name: str) -> None:
     model = SENSORS[name].model
     assert len(set(model.columns)) == len(model.columns)
     for look in looks(name, "moderate"):
-        values = Layout(model.reads).values(look.x_true).values()
+        values = arguments(model, look.x_true, len(look.m.ids))
         z = model.predict(look.m.ids, *values)
         k = len(look.m.ids)
         assert z.shape == look.m.z.shape == (k, len(model.columns))
@@ -249,7 +263,7 @@ def test_sensor_shapes_and_noise(name: str) -> None:
 def test_sensor_has_no_residual_against_its_own_prediction(name: str) -> None:
     model = SENSORS[name].model
     for look in looks(name, "large"):
-        values = Layout(model.reads).values(look.x).values()
+        values = arguments(model, look.x, len(look.m.ids))
         m = Measurement("s", 1.0, model.predict(look.m.ids, *values), look.m.ids)
         r = model.residual(m, *values)[0]
         # 1e-12 of the sizes that are subtracted from each other
@@ -261,7 +275,7 @@ def test_sampled_residuals_have_the_noise_that_the_sensor_declares(name: str) ->
     model, rng = SENSORS[name].model, seed_of(name, "noise")
     whitened = []
     for look in looks(name, "moderate"):
-        values = Layout(model.reads).values(look.x_true).values()
+        values = arguments(model, look.x_true, 30)
         ids = np.resize(look.m.ids, 30)
         clean = Measurement("s", 1.0, model.predict(ids, *values), ids)
         L = np.linalg.cholesky(model.noise(clean))
@@ -281,7 +295,7 @@ def test_perturbing_a_measurement_moves_the_residual_the_other_way(name: str) ->
     turn between e and r, but no more than now and then, and the length stays."""
     model, rng, turned, count = SENSORS[name].model, seed_of(name, "e"), 0, 0
     for look in looks(name, "moderate"):
-        values = Layout(model.reads).values(look.x_true).values()
+        values = arguments(model, look.x_true, len(look.m.ids))
         z = model.predict(look.m.ids, *values)
         e = 1e-2 * np.einsum(
             "kij,kj->ki",
@@ -301,17 +315,26 @@ def test_perturbing_a_measurement_moves_the_residual_the_other_way(name: str) ->
 @pytest.mark.parametrize("name", SENSORS)
 def test_sensor_refuses_unknown_ids_and_wrong_values(name: str) -> None:
     model, look = SENSORS[name].model, looks(name, "moderate")[0]
-    values = list(Layout(model.reads).values(look.x).values())
+    values = arguments(model, look.x, len(look.m.ids))
+    plain, rest = values[: len(model.reads)], values[len(model.reads) :]
     names = re.escape(str([b.name for b in model.reads]))
     with pytest.raises(
         InputError,
-        match=f"^{model.kind}: found {len(values) - 1} values, expected one for each of {names}$",
+        match=f"^{model.kind}: found {len(plain) - 1} values, expected one for each of {names}$"
+        if not rest
+        else f"^{model.kind}: found no values of point, expected one for each id$",
     ):
         model.residual(look.m, *values[:-1])
     with pytest.raises(InputError, match=f"^{model.reads[0].name}: found"):
         model.residual(look.m, np.full(5, 0.1), *values[1:])
     with pytest.raises(InputError, match=f"^{model.reads[-1].name}: found"):
-        model.residual(look.m, *values[:-1], np.full_like(values[-1], np.nan))
+        model.residual(look.m, *plain[:-1], np.full_like(plain[-1], np.nan), *rest)
+    if rest:
+        with pytest.raises(InputError, match=f"^{model.kind}: found point of"):
+            model.residual(look.m, *plain, rest[0][:-1])
+        below = dataclasses.replace(look.m, ids=np.full(len(look.m.ids), -1))
+        with pytest.raises(InputError, match=f"{model.kind}: found id -1, expected zero or more"):
+            model.residual(below, *values)
     if len(model.observation_data(look.m.ids)[0]):
         unknown = dataclasses.replace(look.m, ids=np.full(len(look.m.ids), 10**6))
         with pytest.raises(InputError, match=f"{model.kind}: found id 1000000"):
@@ -321,7 +344,7 @@ def test_sensor_refuses_unknown_ids_and_wrong_values(name: str) -> None:
 @pytest.mark.parametrize("name", SENSORS)
 def test_sensor_refuses_rows_of_another_width(name: str) -> None:
     model, look = SENSORS[name].model, looks(name, "moderate")[0]
-    values = Layout(model.reads).values(look.x).values()
+    values = arguments(model, look.x, len(look.m.ids))
     for z in (look.m.z[:, :-1], np.hstack([look.m.z, look.m.z])):
         with pytest.raises(InputError, match=model.kind):
             model.residual(dataclasses.replace(look.m, z=z), *values)

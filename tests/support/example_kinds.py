@@ -1,4 +1,5 @@
-"""What an example of a model is, and the one that follows from another: a mounting estimated."""
+"""What an example of a model is, and those that follow from another: a mounting estimated, points
+unknown."""
 
 from __future__ import annotations
 
@@ -10,6 +11,8 @@ import numpy as np
 from draws import Draw, draw_block
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.numbered import numbered_of
+from relnav_graph.core.state import Block
 from relnav_graph.maths import so3
 
 
@@ -44,6 +47,12 @@ class DerivedExample:
     model: Any
 
 
+def reads_of(model: Any) -> tuple[Block, ...]:
+    """The blocks that one observation of a sensor reads, that of its id last."""
+    own = numbered_of(model)
+    return model.reads if own is None else (*model.reads, own)
+
+
 Example = SensorExample | DynamicsExample | DerivedExample
 
 
@@ -66,3 +75,24 @@ def estimated(example: Example) -> tuple[Example, ...]:
         return *example.draw(rng, regime), *rest
 
     return (replace(example, model=model, draw=draw),)
+
+
+def unmapped(example: Example) -> tuple[Example, ...]:
+    """A sensor of known points with one of them unknown; nothing of a model without points. Its
+    draw gives that point last."""
+    if not hasattr(example.model, "points"):
+        return ()
+    assert isinstance(example, SensorExample)
+    model = replace(example.model, points="unknown")
+
+    def draw(rng: np.random.Generator, regime: str) -> tuple[Array, ...]:
+        values = example.draw(rng, regime)
+        return *values, rng.choice(example.model.points)
+
+    return (replace(example, model=model, draw=draw, step={**example.step, "point": 0.1}),)
+
+
+def with_variants(examples: tuple[Example, ...]) -> tuple[Example, ...]:
+    """Examples of a model, and what follows from them."""
+    mounted = *examples, *(more for example in examples for more in estimated(example))
+    return *mounted, *(more for example in mounted for more in unmapped(example))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from draws import PLACES, draw_block, draw_blocks
-from example_kinds import DerivedExample, DynamicsExample, Example, SensorExample, estimated
+from example_kinds import DerivedExample, DynamicsExample, Example, SensorExample, with_variants
 from relnav_factors.derived import relative_pose
 from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from relnav_factors.derived.principal_axes import PrincipalAxes, PrincipalRatios
@@ -36,6 +36,7 @@ from relnav_factors.sensors.earth_sensor import EarthSensor
 from relnav_factors.sensors.gps_position import GpsPosition
 from relnav_factors.sensors.gps_pseudorange import GpsPseudorange
 from relnav_factors.sensors.laser_range_angles import LaserRangeAngles
+from relnav_factors.sensors.mono_point import MonoPoint
 from relnav_factors.sensors.pose_copy import PoseCopy
 from relnav_factors.sensors.pose_odometry import PoseOdometry
 from relnav_factors.sensors.star_tracker import StarTracker
@@ -101,6 +102,11 @@ def stereo(**options: Any) -> StereoPoint:
     sigma = np.array([0.4, 0.5, 0.6, 0.7])
     camera: dict[str, Any] = {"fu": 480.0, "fv": 500.0, "cu": 320.0, "cv": 240.0, "baseline": 0.24}
     return StereoPoint(points=BEACONS, pixel_sigma=sigma, **camera, **options)
+
+
+def mono(**options: Any) -> MonoPoint:
+    camera: dict[str, Any] = {"fu": 480.0, "fv": 500.0, "cu": 320.0, "cv": 240.0}
+    return MonoPoint(points=BEACONS, pixel_sigma=np.array([0.4, 0.5]), **camera, **options)
 
 
 def gyro(angle: Any, bias: Any, **options: Any) -> DynamicsExample:
@@ -266,6 +272,11 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         laser(axes="orbital"),
         laser(sensor_attitude=MOUNTED["sensor_attitude"]),
     ),
+    "mono_point": (
+        point_sensor(mono()),
+        point_sensor(mono(**MOUNTED)),
+        point_sensor(mono(pose="target", **MOUNTED)),
+    ),
     "star_tracker": (
         attitude_sensor(StarTracker(sigma=np.full(3, 2e-3))),
         attitude_sensor(
@@ -378,7 +389,4 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "target_rate_in_chaser": (DerivedExample(relative_pose.TargetRateInChaser()),),
 }
 
-EXAMPLES = {
-    kind: (*examples, *(more for example in examples for more in estimated(example)))
-    for kind, examples in _EXAMPLES.items()
-}
+EXAMPLES = {kind: with_variants(examples) for kind, examples in _EXAMPLES.items()}

@@ -1,4 +1,4 @@
-"""Unit vectors from a sensor on the chaser to beacons at known places on the target."""
+"""Unit vectors from a sensor on the chaser to beacons on the target."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.points import PointSensor, point_in_sensor
+from relnav_factors.shared.point_sensor import PointSensor
+from relnav_factors.shared.points import point_in_sensor
 from relnav_factors.shared.sphere import OPPOSITE, direction, sphere_residual, turned
 from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array, Indices
@@ -18,14 +19,15 @@ from relnav_graph.units import Quantity
 
 
 @jit(from_python=True)
-def line_of_sight(p: Array, beacon_t: Array, x: Array) -> tuple[Array, Array, float]:
+def line_of_sight(p: Array, q: Array, x: Array) -> tuple[Array, Array, float]:
     """Unit vector b (3,) to a beacon in sensor axes, its Jacobian to x, and the distance.
 
-    p: (13,), of the mounting; beacon_t: (3,), m, in t; x: (21,): R_oc, R_ot, r_tc_o (m), or (12,):
-    R_tc, r_tc_t (m); then (12,) of an estimated mounting, see `point_in_sensor`. The Jacobian is
-    (3, 9) or (3, 6), with 6 columns more for the mounting, per rad and per m; the distance is in m.
+    p: (13,), of the mounting; q: (3,), m, the beacon in t, or (0,) of an unknown one; x: (21,):
+    R_oc, R_ot, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,) of an estimated mounting and (3,)
+    of an unknown beacon, see `point_in_sensor`. The Jacobian is (3, 9) or (3, 6), with 6 columns
+    more for the mounting and 3 for the beacon, per rad and per m; the distance is in m.
     """
-    point_s, jacobian = point_in_sensor(p, beacon_t, x)
+    point_s, jacobian = point_in_sensor(p, q, x)
     b, distance = direction(point_s, jacobian)
     return b, jacobian, distance
 
@@ -34,11 +36,12 @@ def line_of_sight(p: Array, beacon_t: Array, x: Array) -> tuple[Array, Array, fl
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Rotation from the measured to the predicted line of sight, across the measured one.
 
-    p (13,): of the mounting. q (3,): the beacon X_t, m. z (3,): unit vector in s. x (21,): R_oc,
-    R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns, d_sn_c (m) of an
-    estimated mounting. r (2,), rad, see `sphere_residual`. H (2, 9) or (2, 6), and 6 columns more
-    for the mounting. Status `OPPOSITE`: b is opposite to z; or that of `length_status` for the
-    distance to the beacon.
+    p (13,): of the mounting. q (3,): the beacon X_t, m; (0,) of an unknown one. z (3,): unit vector
+    in s. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns,
+    d_sn_c (m) of an estimated mounting; then X_t of an unknown beacon. r (2,), rad, see
+    `sphere_residual`. H (2, 9) or (2, 6), and 6 columns more for the mounting, 3 for the beacon.
+    Status `OPPOSITE`: b is opposite to z; or that of `length_status` for the distance to the
+    beacon.
 
         b = R_cs^T (R_oc^T (R_ot X_t - r_tc_o) - r_sc_c), normalised
     """
@@ -56,7 +59,7 @@ class BeaconLineOfSight(PointSensor):
     b = R_cs^T (R_oc^T (R_ot X - r_tc_o) - r_sc_c), normalised; z is the measured b.
     After Kim et al. 2007 (Journal of Guidance 30-5), eq. 6, and Zhang et al. 2015.
 
-    points: the beacons; sigma: rad, about each of the two axes across the line.
+    points: the beacons, or "unknown"; sigma: rad, about each of the two axes across the line.
     """
 
     kind: ClassVar[str] = "beacon_los"
@@ -83,9 +86,8 @@ class BeaconLineOfSight(PointSensor):
 
     def predict(self, ids: Indices, *x: Array) -> Array:
         """Unit vectors (k, 3) in sensor axes. Raises GeometryError on a beacon at the sensor."""
-        p, packed = self.constants(), np.concatenate([np.ravel(value) for value in x])
-        out = np.empty((len(ids), 3))
-        for k, q in enumerate(self.observation_data(ids)):
+        p, out = self.constants(), np.empty((len(ids), 3))
+        for k, (q, packed) in enumerate(self.packed(ids, *x)):
             out[k], _, distance = line_of_sight(p, q, packed)
             if status := length_status(distance, 0):
                 raise GeometryError(f"{self.kind}: id {ids[k]}: {self.failure(status)}")
@@ -95,18 +97,9 @@ class BeaconLineOfSight(PointSensor):
         """Turn each line by the rotation e (k, 2), rad, across it."""
         return turned(np.ascontiguousarray(z), np.ascontiguousarray(e))
 
-    def centre(self, ids: Indices, z: Array) -> Array:
-        """Rough middle of the beacons: along the mean line, as far away as their spread tells.
-
-        ids: (k,); z: (k, 3), unit vectors. Returns (3,), m, in sensor axes.
-        """
-        middle = z.mean(axis=0)
-        spread = np.sqrt(((z - middle) ** 2).sum(axis=1).mean())
-        size = np.sqrt(((self.points[ids] - self.points[ids].mean(axis=0)) ** 2).sum(axis=1).mean())
-        distance = 10 * float(np.abs(self.points).max())  # of one beacon: no more than a guess
-        if spread > 0:
-            distance = np.sqrt(2 / 3) * size / spread  # seen from a side, on average
-        return np.asarray(distance * middle / max(float(np.linalg.norm(middle)), 1e-12))
+    def lines(self, z: Array) -> Array:
+        """The measured unit vectors (k, 3) in sensor axes."""
+        return z
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(self.sigma**2 * np.eye(2), (len(m.z), 1, 1))

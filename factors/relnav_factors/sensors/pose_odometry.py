@@ -33,8 +33,8 @@ def pose_between(p: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """
     mounting, both, columns = mounting_of(p, x), without_mounting(p, x), int(p[12])
     nowhere, half = np.zeros(3), both.shape[0] // 2
-    before, to_before = point_seen(mounting, columns, nowhere, both[:half])
-    now, to_now = point_seen(mounting, columns, nowhere, both[half:])
+    before, to_before = point_seen(mounting, columns, nowhere, 0, both[:half])
+    now, to_now = point_seen(mounting, columns, nowhere, 0, both[half:])
     n = to_now.shape[1] - columns
     turn, slopes = turn_between(
         dense.matrix_at(mounting, 0), both[: half - 3], both[half : 2 * half - 3]

@@ -1,4 +1,4 @@
-"""Known points of the target in a stereo camera, as pixels or as Cartesian positions."""
+"""Points of the target in a stereo camera, as pixels or as Cartesian positions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.points import PointSensor, point_in_sensor
-from relnav_factors.shared.statuses import degenerate, length_status
+from relnav_factors.shared.pinhole import PinholeSensor, ahead_status, put_pixels
+from relnav_factors.shared.point_sensor import PointSensor
+from relnav_factors.shared.points import point_in_sensor
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.measurement import Measurement
-from relnav_graph.errors import GeometryError
 from relnav_graph.maths import dense
 from relnav_graph.units import Quantity
 
@@ -22,23 +22,12 @@ def project_stereo(p: Array, point_s: Array) -> tuple[Array, Array]:
     """Pixels (ul, vl, ur, vr) of a point, and their Jacobian.
 
     p: (18,): ends with fu, fv, cu, cv (px), baseline b (m); point_s: (3,): X right, Y down, Z ahead
-    in the left camera, m. Returns (4,), pixels, and (4, 3), pixels per m.
-
-        ul = fu X / Z + cu,  ur = fu (X - b) / Z + cu,  vl = vr = fv Y / Z + cv
+    in the left camera, m. Returns (4,), pixels, and (4, 3), pixels per m; see `put_pixels`.
     """
-    fu, fv, cu, cv, baseline = p[13], p[14], p[15], p[16], p[17]
     x, y, depth = point_s[0], point_s[1], point_s[2]
-    pixels = np.empty(4)
-    pixels[0] = fu * x / depth + cu
-    pixels[1] = fv * y / depth + cv
-    pixels[2] = fu * (x - baseline) / depth + cu
-    pixels[3] = pixels[1]
-    jacobian = np.zeros((4, 3))
-    jacobian[0, 0] = jacobian[2, 0] = fu / depth
-    jacobian[1, 1] = jacobian[3, 1] = fv / depth
-    jacobian[0, 2] = -fu * x / depth**2
-    jacobian[2, 2] = -fu * (x - baseline) / depth**2
-    jacobian[1, 2] = jacobian[3, 2] = -fv * y / depth**2
+    pixels, jacobian = np.empty(4), np.empty((4, 3))
+    put_pixels(p, x, y, depth, 0, pixels, jacobian)
+    put_pixels(p, x - p[17], y, depth, 2, pixels, jacobian)
     return pixels, jacobian
 
 
@@ -46,19 +35,16 @@ def project_stereo(p: Array, point_s: Array) -> tuple[Array, Array]:
 def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Predicted minus measured pixels, see `project_stereo` and `point_in_sensor`.
 
-    p (18,): (13,) of the mounting, fu, fv, cu, cv (px), baseline (m). q (3,): the point X_t, m. z
-    (4,): ul, vl, ur, vr, pixels. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t
-    (m); then (12,): R_ns, d_sn_c (m) of an estimated mounting. r (4,), pixels. H (4, 9) or (4, 6),
-    and 6 columns more for the mounting. Status 1: behind the camera; or that of `length_status`
-    for the distance.
+    p (18,): (13,) of the mounting, fu, fv, cu, cv (px), baseline (m). q (3,): the point X_t, m;
+    (0,) of an unknown one. z (4,): ul, vl, ur, vr, pixels. x (21,): R_oc, R_ot row by row, r_tc_o
+    (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns, d_sn_c (m) of an estimated mounting; then X_t
+    of an unknown point. r (4,), pixels. H (4, 9) or (4, 6), and 6 columns more for the mounting, 3
+    for the point. Status 1: behind the camera; or that of `length_status` for the distance.
     """
     point_s, jacobian = point_in_sensor(p, q, x)
-    distance = dense.norm(point_s)
-    status = length_status(distance, 0)
+    status = ahead_status(point_s)
     if status != 0:
         return status
-    if point_s[2] <= 1e-12 * distance:  # beside it: a pixel is infinitely far off
-        return 1
     pixels, dpixels = project_stereo(p, point_s)
     dense.put_vector(r, 0, dense.add_scaled_vector(pixels, z, -1.0))
     dense.put_block(H, 0, 0, dense.matmul(dpixels, jacobian), 1.0)
@@ -69,9 +55,10 @@ def pixel_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> 
 def cartesian_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """Predicted minus measured position in sensor axes, see `point_in_sensor`.
 
-    p (13,): of the mounting. q (3,): the point X_t, m. z (3,): position in s, m. x (21,): R_oc,
-    R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns, d_sn_c (m) of an
-    estimated mounting. r (3,), m. H (3, 9) or (3, 6), and 6 columns more for the mounting.
+    p (13,): of the mounting. q (3,): the point X_t, m; (0,) of an unknown one. z (3,): position in
+    s, m. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns,
+    d_sn_c (m) of an estimated mounting; then X_t of an unknown point. r (3,), m. H (3, 9) or (3,
+    6), and 6 columns more for the mounting, 3 for the point.
     """
     point_s, jacobian = point_in_sensor(p, q, x)
     dense.put_vector(r, 0, dense.add_scaled_vector(point_s, z, -1.0))
@@ -80,59 +67,54 @@ def cartesian_kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array)
 
 
 @dataclass(frozen=True, kw_only=True)
-class StereoPoint(PointSensor):
-    """Pixels of known points in a rectified stereo camera; z = (ul, vl, ur, vr).
+class StereoPoint(PinholeSensor):
+    """Pixels of points in a rectified stereo camera; z = (ul, vl, ur, vr).
 
-    fu, fv: focal lengths, px; cu, cv: principal point, px; baseline: m, left to right
-    camera; pixel_sigma: px, of each of the four. After Barfoot 2017, eq. 7.93 (left
-    camera as origin).
+        ul = fu X / Z + cu,  ur = fu (X - b) / Z + cu,  vl = vr = fv Y / Z + cv
+
+    baseline: b, m, left to right camera; pixel_sigma: px, of each of the four; the others as of
+    `PinholeSensor`. After Barfoot 2017, eq. 7.93 (left camera as origin).
     """
 
     kind: ClassVar[str] = "stereo_point"
     columns: ClassVar[tuple[str, ...]] = ("ul_px", "vl_px", "ur_px", "vr_px")
     rows: ClassVar[int] = 4
+    sees_depth: ClassVar[bool] = True
     kernel = staticmethod(pixel_kernel)
-    failures = {
-        1: "the point is behind the camera",
-        **degenerate("the distance from the camera to the point"),
-    }
 
-    fu: Annotated[float, Quantity("px", positive=True)]
-    fv: Annotated[float, Quantity("px", positive=True)]
-    cu: Annotated[float, Quantity("px")]
-    cv: Annotated[float, Quantity("px")]
     baseline: Annotated[float, Quantity("m", positive=True)]
     pixel_sigma: Annotated[Array, Quantity("px", (4,), positive=True)]
 
     def constants(self) -> Array:
-        camera = [self.fu, self.fv, self.cu, self.cv, self.baseline]
-        return np.concatenate([super().constants(), camera])
+        return np.append(super().constants(), self.baseline)
 
-    def predict(self, ids: Indices, *x: Array) -> Array:
-        """Pixels (k, 4). Raises GeometryError on a point behind the camera."""
-        p, out = self.constants(), np.empty((len(ids), 4))
-        for k, point_s in enumerate(self.points_in_sensor(ids, *x)):
-            if point_s[2] <= 1e-12 * dense.norm(point_s):
-                raise GeometryError(f"{self.kind}: id {ids[k]} at depth {point_s[2]:.3g} m")
-            out[k] = project_stereo(p, point_s)[0]
-        return out
+    def pixels(self, point_s: Array) -> Array:
+        """(4,), pixels, of a point (3,) in s, m."""
+        return np.asarray(project_stereo(self.constants(), point_s)[0])
+
+    def triangulated(self, z: Array, disparity: Array) -> Array:
+        """Places (k, 3) in s, m, of points whose pixels z (k, 4) are so far apart (k,), px."""
+        depth = (self.fu * self.baseline / disparity)[:, None]
+        return self.ahead(z) * depth
+
+    def lines(self, z: Array) -> Array:
+        """Places (k, 3) in s, m; NaN where the two pixels are no further apart than by noise."""
+        disparity = z[:, 0] - z[:, 2]
+        told = disparity > np.hypot(self.pixel_sigma[0], self.pixel_sigma[2])
+        return self.triangulated(z, np.where(told, disparity, np.nan))
 
     def centre(self, ids: Indices, z: Array) -> Array:
         """The mean of the points, each triangulated from its two pixels.
 
         ids: (k,); z: (k, 4), pixels. Returns (3,), m, in sensor axes.
         """
-        depth = self.fu * self.baseline / np.maximum(z[:, 0] - z[:, 2], 1e-3)
-        across = (z[:, 0] - self.cu) / self.fu, (z[:, 1] - self.cv) / self.fv
-        return np.array([np.mean(depth * across[0]), np.mean(depth * across[1]), depth.mean()])
-
-    def noise(self, m: Measurement) -> Array:
-        return np.tile(np.diag(self.pixel_sigma**2), (len(m.z), 1, 1))
+        places = self.triangulated(z, np.maximum(z[:, 0] - z[:, 2], 1e-3))
+        return np.array([np.mean(component) for component in places.T])
 
 
 @dataclass(frozen=True, kw_only=True)
 class StereoPointCartesian(PointSensor):
-    """Positions of known points in sensor axes, as a stereo camera triangulates them.
+    """Positions of points in sensor axes, as a stereo camera or a lidar gives them.
 
     sigma: m, per axis. As in Xiong et al. 2013, the measurement Z of its section 3.
     """
@@ -140,6 +122,7 @@ class StereoPointCartesian(PointSensor):
     kind: ClassVar[str] = "stereo_point_cartesian"
     columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m")
     rows: ClassVar[int] = 3
+    sees_depth: ClassVar[bool] = True
     kernel = staticmethod(cartesian_kernel)
 
     sigma: Annotated[Array, Quantity("m", (3,), positive=True)]
@@ -147,6 +130,10 @@ class StereoPointCartesian(PointSensor):
     def predict(self, ids: Indices, *x: Array) -> Array:
         """Positions (k, 3) in sensor axes, m."""
         return self.points_in_sensor(ids, *x)
+
+    def lines(self, z: Array) -> Array:
+        """The measured positions (k, 3) in sensor axes, m."""
+        return z
 
     def centre(self, ids: Indices, z: Array) -> Array:
         """The mean of the positions (k, 3), m.

@@ -86,3 +86,18 @@ class AttitudeSensor(MountedSensor):
 
     def noise(self, m: Measurement) -> Array:
         return np.tile(np.diag(self.sigma**2), (len(m.z), 1, 1))
+
+
+def axis_rotations() -> list[Array]:
+    """The 24 rotations (3, 3) that take axes to axes.
+
+    Any rotation is within 63 deg of one of them.
+    """
+    found = []
+    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]):
+        for signs in np.ndindex(2, 2, 2):
+            R = np.zeros((3, 3))
+            R[range(3), order] = 1.0 - 2.0 * np.array(signs)
+            if np.linalg.det(R) > 0:
+                found.append(R)
+    return found
