@@ -13,6 +13,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
+from relnav_graph.estimators.first_sights import has_map
 from relnav_graph.estimators.gauss_newton import is_small, solve_gated
 from relnav_graph.estimators.incremental import RATIO, IncrementalSmoother
 from relnav_graph.estimators.rts import smooth
@@ -40,7 +41,7 @@ def _begun(problem: Problem) -> tuple[Assembly, Array, Array]:
     """All epochs, and a trajectory (N, size) and weights (observations,) to start from: of the
     iterated filter and its smoother; of the incremental smoother where there is a map to make, of
     which a filter makes a bad one. Raises EstimationError when there is none."""
-    if any(block.number is not None for block in problem.layout.statics):
+    if has_map(problem.layout):
         smoother = IncrementalSmoother(problem, RATIO)
         whole = drive(RecordedSource(problem), smoother)
         if whole.stopped:

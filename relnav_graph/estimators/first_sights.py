@@ -18,7 +18,7 @@ from relnav_graph.errors import GeometryError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.tables import EPOCH, NUMBERED, OWN_COLUMN, Z_DATA
 
-__all__ = ["first_epochs", "first_sights", "names_of", "turned", "unseen"]
+__all__ = ["first_epochs", "first_sights", "has_map", "names_of", "turned", "unseen"]
 
 #: Correlation with the states that move below which a block was never seen: it is zero, but for
 #: rounding.
@@ -54,6 +54,11 @@ def names_of(assembly: Assembly, chosen: Indices) -> list[str]:
     blocks = [read[assembly.sensor_names[assembly.sensor_of[i]]] for i in chosen]
     pairs = zip(blocks, assembly.ids[chosen], strict=True)
     return [block.numbered(int(i)).name for block, i in pairs if block is not None]
+
+
+def has_map(layout: Layout) -> bool:
+    """Whether numbered blocks are among the static ones of a layout."""
+    return any(block.number is not None for block in layout.statics)
 
 
 def turned(layout: Layout, x: Array) -> Array:

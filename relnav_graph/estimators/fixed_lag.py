@@ -33,7 +33,9 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
+from relnav_graph.estimators.first_sights import has_map, turned
 from relnav_graph.estimators.gauss_newton import Solution, solve_gated
+from relnav_graph.estimators.incremental import RATIO, IncrementalSmoother
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
@@ -53,6 +55,8 @@ EPOCHS = 30
 #: How far an estimate may be from where it is linearised: in sigmas of what was known of it
 #: when it was the newest, over all its states together. The first while nothing has left.
 SETTLED, MOVED = 0.01, 1.0
+#: By how much the target must have turned before an epoch of a pass with a map may leave, rad.
+BEGUN = 4 * np.pi
 #: Rounds of relinearisation, at most, before a step is searched for with damping; each must
 #: halve the distance.
 ROUNDS = 5
@@ -84,6 +88,8 @@ class FixedLagEngine:
         p = self.problem
         if assembly is None:
             assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
+        if state.turned < BEGUN and has_map(p.layout):
+            return self._beginning(state, epoch, assembly)
         # Where to start from, and what the gate rejects.
         before = FilterState(state.t, state.x, state.P)
         done = filter_step(p, ITERATIONS, before, epoch, assembly)
@@ -106,6 +112,35 @@ class FixedLagEngine:
         if window.weights[-1] is not done.weights:
             done = replace(done, weights=window.weights[-1])
         return self._without_old(replace(window, x=x, P=P, done=done, left=None))
+
+    def _beginning(self, state: Window, epoch: Epoch, assembly: Assembly) -> Window:
+        """The window of a pass with a map until it has been seen from all sides: with all epochs,
+        since what leaves is linearised for good, in an incremental smoother."""
+        smoother = IncrementalSmoother(self.problem, RATIO)
+        begun = smoother.advance(state.begun or smoother.begin(), epoch, assembly)
+        assert begun.done is not None
+        steps = np.stack([begun.x if state.t is None else state.x, begun.x])
+        window = Window(
+            *(epoch.t, state.anchor, begun.x, begun.P),
+            epochs=(*state.epochs, epoch),
+            parts=(*state.parts, assembly),
+            weights=(*state.weights, begun.done.weights),
+            done=begun.done,
+            turned=state.turned + float(turned(self.problem.layout, steps)[1]),
+            begun=begun,
+        )
+        return window if window.turned < BEGUN else self._without_old(self.whole(window))
+
+    def whole(self, w: Window) -> Window:
+        """A window of all epochs, with its chain at the minimum."""
+        if w.begun is None:
+            return w
+        smoother = IncrementalSmoother(self.problem, RATIO)
+        smoother.state = w.begun
+        solution = smoother.finish()[1]
+        edges = np.cumsum([part.observations for part in w.parts])[:-1]
+        w = replace(w, weights=tuple(np.split(solution.weights, edges)), begun=None)
+        return replace(w, chain=linearized(w, solution.x))
 
     def _extended(self, w: Window, newest: Array) -> Window | None:
         """The window relinearised only where it must be.
@@ -192,16 +227,17 @@ class FixedLagEngine:
     def save(self, state: Window) -> dict[str, Array]:
         """The window and its epochs as plain arrays by name.
 
-        t (), s, NaN before the first epoch; x (size,), P (n, n): the newest state; anchor (size,),
-        W (n, n), d (n,): the anchor's state, matrix and vector; chain (K, size): where the states
-        are linearised; ``weights.k`` (observations,); before (1,), s: start of the first interval,
-        (0,) without one; ``epochs.*``: see `relnav_graph.core.packing.pack`.
+        t (), s, NaN before the first epoch; turned (), rad; x (size,), P (n, n): the newest state;
+        anchor (size,), W (n, n), d (n,): the anchor's state, matrix and vector; chain (K, size):
+        where the states are linearised; ``weights.k`` (observations,); before (1,), s: start of the
+        first interval, (0,) without one; ``epochs.*``: see `relnav_graph.core.packing.pack`.
         """
         t = np.array(np.nan if state.t is None else state.t)
         a = state.anchor
         out = {"t": t, "W": a.W, "d": a.d, "anchor": a.x, "x": state.x, "P": state.P}
         if state.chain is not None:
             out["chain"] = state.chain.x
+        out["turned"] = np.array(state.turned)
         out |= {f"weights.{k}": w for k, w in enumerate(state.weights)}
         before = state.parts[0].tables.starts[:1] if state.parts else np.zeros(0)
         return out | {"before": before} | {f"epochs.{k}": v for k, v in pack(state.epochs).items()}
@@ -212,6 +248,11 @@ class FixedLagEngine:
         epochs = unpack(under(a, "epochs."))
         first = float(a["before"][0]) if len(a["before"]) else None
         before = [first, *(e.t for e in epochs)]
+        if epochs and "chain" not in a:  # of a pass with a map, at its beginning
+            window = self.begin()
+            for epoch in epochs:
+                window = self.advance(window, epoch)
+            return window
         window = Window(
             t=None if np.isnan(a["t"]) else float(a["t"]),
             anchor=Anchor(a["anchor"], a["W"], a["d"]),
@@ -223,6 +264,7 @@ class FixedLagEngine:
                 for epoch, t in zip(epochs, before, strict=False)
             ),
             weights=tuple(a[f"weights.{k}"] for k in range(len(epochs))),
+            turned=float(a["turned"]),
         )
         return replace(window, chain=linearized(window, a["chain"])) if epochs else window
 
@@ -260,6 +302,7 @@ class FixedLag:
         status, message, last = "diverged", done.stopped, kept.weights
         if not done.stopped:
             try:
+                kept.newest = engine.whole(kept.newest)
                 inside, chain = len(kept.newest.epochs), kept.newest.chain
                 assert chain is not None
                 end = engine.solve(kept.newest, chain.estimates(problem.layout))

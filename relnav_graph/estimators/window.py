@@ -12,6 +12,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import FilterSweep
+from relnav_graph.estimators.incremental import SmootherState
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals
 from relnav_graph.linear.elimination import linearize
@@ -95,7 +96,9 @@ class Window:
     epoch's until an epoch has left the window, then the newest one that has left. x (size,),
     P (n, n): the newest state. epochs, parts, weights: those in the window; chain: their
     states, after that of the newest epoch that has left. done: the filter's part in the newest
-    epoch; left: what left with it.
+    epoch; left: what left with it; turned: by how much the target has turned, rad, see
+    `relnav_graph.estimators.first_sights.turned`; begun: the smoother of a pass with a map until
+    the window begins to move: there is no chain then.
     """
 
     t: float | None
@@ -108,6 +111,8 @@ class Window:
     chain: Chain | None = None
     done: FilterSweep | None = None
     left: Left | None = None
+    turned: float = 0.0
+    begun: SmootherState | None = None
 
     @property
     def lead(self) -> int:
