@@ -32,7 +32,7 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals
 from relnav_graph.linear.segments import LENGTH, MANY, Segmented, eliminate_segments
 from relnav_graph.linear.sweep import CARRIED, FILLED, FOLDED, NEXT, folded, put_rows, sweep
-from relnav_graph.maths.dense import SPARE
+from relnav_graph.maths.reflections import SPARE
 
 __all__ = ["System", "linearize"]
 

@@ -26,9 +26,10 @@ from relnav_graph.linear.sweep import (
     hand_over,
     put_rows,
     sweep,
+    work_of,
 )
 from relnav_graph.linear.tables import COLUMNS, NUMBERED, OWN_COLUMN
-from relnav_graph.maths.dense import SPARE
+from relnav_graph.maths.reflections import SPARE
 
 __all__ = ["LENGTH", "MANY", "Segmented", "eliminate_segments"]
 
@@ -148,7 +149,7 @@ def eliminate_segments(
     parts, reads = list[Array](), [static_columns(assembly, *span) for span in spans]
     room = max(FOLDED, n + m) + n + m + 1
     a, left, filled = np.zeros((n + m + room, start.shape[1])), np.empty((2 * room, m + 1)), 0
-    a[:carried] = start[:carried]
+    a[:carried], work = start[:carried], work_of(n, m, len(a))
     for i, (begin, after) in enumerate(spans):
         own = reads[i]
         width = len(own) + n
@@ -168,13 +169,13 @@ def eliminate_segments(
         H = np.zeros((width, n + m))
         H[:, n + own], H[:, :n] = tri[:, : len(own)], tri[:, len(own) : width]
         put_rows(a, carried, n, m, every, -tri[:, width], H)
-        filled = close_epoch(a, n, m, carried + width, left, filled)
+        filled = close_epoch(a, n, m, carried + width, left, filled, work)
         last = i == len(begins) - 1
         if not last:
             A = np.zeros((n, n + m))
             A[:, n + own] = one[:n, n + 1 : n + 1 + len(own)]
             A[:, :n] = one[:n, n + 1 + len(own) : n + 1 + width]
-            advance(a, n, m, every, -one[:n, n], A, np.ascontiguousarray(one[:n, :n]))
+            advance(a, n, m, every, -one[:n, n], A, np.ascontiguousarray(one[:n, :n]), work)
         hand_over(a, last, top.R[i], top.S[min(i, len(top.S) - 1)], top.T[i], top.d[i])
         carried = n
         if filled > FOLDED or last:

@@ -18,7 +18,7 @@ from relnav_graph.linear.intervals import interval_row
 from relnav_graph.linear.rows import observe, propagate
 from relnav_graph.linear.tables import TABLES, Tables
 from relnav_graph.maths import dense
-from relnav_graph.maths.dense import householder
+from relnav_graph.maths.reflections import WIDE, householder, householder_blocked, room
 
 __all__ = [
     "CARRIED",
@@ -31,6 +31,7 @@ __all__ = [
     "hand_over",
     "put_rows",
     "sweep",
+    "work_of",
 ]
 
 #: Of a sweep that is under way: the next epoch, how many rows of `a` are known of it, and how many
@@ -85,12 +86,24 @@ def _largest(A: Array, n: int) -> float:
     return most
 
 
+@jit(from_python=True)
+def work_of(n: int, m: int, rows: int) -> Array:
+    """What `close_epoch` of so many rows, and `advance`, want to work with."""
+    return np.empty(room(n, max(rows, 2 * n), 2 * n + 1 + m) if m >= WIDE else 0)
+
+
 @jit
-def close_epoch(a: Array, n: int, m: int, rows: int, left: Array, filled: int) -> int:
+def close_epoch(a: Array, n: int, m: int, rows: int, left: Array, filled: int, work: Array) -> int:
     """Bring the rows known of an epoch to triangular form; what is left over of them, rows of the
     border and the right-hand side, goes to `left` (rows, m + 1) from `filled` on. Returns how many
-    rows of that are filled then."""
-    householder(a, n, 0, rows, n + 1 + m)
+    rows of that are filled then.
+
+    work: see `work_of`.
+    """
+    if m < WIDE:
+        householder(a, n, 0, rows, n + 1 + m)
+    else:
+        householder_blocked(a, n, 0, rows, n + 1 + m, work)
     if m == 0:
         return filled
     for i in range(n, rows):
@@ -102,10 +115,12 @@ def close_epoch(a: Array, n: int, m: int, rows: int, left: Array, filled: int) -
 
 
 @jit
-def advance(a: Array, n: int, m: int, own: Indices, e: Array, A: Array, B: Array) -> float:
+def advance(
+    a: Array, n: int, m: int, own: Indices, e: Array, A: Array, B: Array, work: Array
+) -> float:
     """Eliminate an epoch, closed, with the interval ``e + A y + B y_next`` to the next one.
 
-    e (n,); A (n, n + statics); B (n, n). Returns ``|e|^2``.
+    e (n,); A (n, n + statics); B (n, n); work: see `work_of`. Returns ``|e|^2``.
     """
     width = n + 1 + m
     for i in range(n):
@@ -120,7 +135,10 @@ def advance(a: Array, n: int, m: int, own: Indices, e: Array, A: Array, B: Array
             for j in range(n + width):
                 a[i, j], a[n + i, j] = a[n + i, j], a[i, j]
         below = 0
-    householder(a, n, below, 2 * n, n + width)
+    if m < WIDE:
+        householder(a, n, below, 2 * n, n + width)
+    else:
+        householder_blocked(a, n, below, 2 * n, n + width, work)
     return squares
 
 
@@ -192,6 +210,7 @@ def sweep(
     for k in range(begin, end):
         most = max(most, row_offsets[k + 1] - row_offsets[k])
     r_all, H_all = np.empty(most), np.empty((most, n + statics))
+    work = work_of(n, m, max(at[CARRIED], n) + most + n)
     x_next, F, Q = x[0].copy(), np.empty((n, n + statics)), np.empty((n, n))
     e, A, B = np.empty(n), np.empty((n, n + statics)), np.empty((n, n))
     squares, carried, filled = 0.0, at[CARRIED], at[FILLED]
@@ -234,13 +253,13 @@ def sweep(
                     a[rows + i, j] = 0.0
                 a[rows + i, i] = damping[k, i]
             rows += n
-        filled = close_epoch(a, n, m, rows, left, filled)
+        filled = close_epoch(a, n, m, rows, left, filled, work)
         if known.shape[0] > 0:
             for i in range(n):
                 for j in range(i, width):
                     known[k, i, j] = a[i, j]
         if k < count - 1:
-            squares += advance(a, n, m, own, e, A, B)
+            squares += advance(a, n, m, own, e, A, B, work)
         place = k - held * begin
         hand_over(a, k == count - 1, R[k], S[min(k, count - 2)], T[place], d[k])
         carried = n

@@ -13,10 +13,8 @@ from relnav_graph.linear.rows import observe
 from relnav_graph.linear.tables import Tables, rows_of
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
-    SPARE,
     column_squares,
     copy,
-    householder,
     inverse_upper,
     matmul_into,
     scaled_cholesky,
@@ -27,6 +25,7 @@ from relnav_graph.maths.dense import (
 )
 from relnav_graph.maths.losses import HUBER, root_weight
 from relnav_graph.maths.manifold import local, retract, times_jacobian, times_transposed_jacobian
+from relnav_graph.maths.reflections import SPARE, householder
 
 __all__ = [
     "innovation_covariance",

@@ -4,7 +4,7 @@ The inner loops run along rows, so that the compiler vectorises them, and leave 
 of zero: transition and whitening matrices are sparse by block. Against LAPACK, a call costs
 nothing and nothing is allocated. C-contiguous float64 throughout.
 
-Source: Golub and Van Loan 2013, algorithms 3.1.1, 4.2.2 and 5.2.1.
+Source: Golub and Van Loan 2013, algorithms 3.1.1 and 4.2.2.
 """
 
 from __future__ import annotations
@@ -18,13 +18,11 @@ from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 
 __all__ = [
-    "SPARE",
     "add_scaled",
     "add_scaled_vector",
     "cholesky",
     "column_squares",
     "copy",
-    "householder",
     "identity",
     "inverse_upper",
     "matmul",
@@ -48,10 +46,6 @@ __all__ = [
     "transposed_matvec",
     "vector_at",
 ]
-
-
-#: Columns that `householder` wants beyond the last one.
-SPARE = 3
 
 
 @jit(vectorize="columns")
@@ -179,62 +173,6 @@ def inverse_upper(R: Array) -> Array:
                 for j in range(l, n):
                     out[i, j] -= g * out[l, j]
     return out
-
-
-@jit(vectorize="columns")
-def householder(a: Array, columns: int, below: int, rows: int, width: int) -> None:
-    """Triangularise the first columns of ``a[:rows, :width]`` by reflections, in place.
-
-    below: rows from the diagonal down to this one are known to be zero there already. A
-    reflection leaves out the rows that are zero in its column, and the columns in which none
-    of its rows has begun; the sums of four columns stay in registers. The `SPARE` columns
-    after `width` are spoilt: there must be as many.
-    """
-    end, at, f = np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows)
-    for i in range(rows):
-        end[i] = width
-        while end[i] > 0 and a[i, end[i] - 1] == 0.0:
-            end[i] -= 1
-    for j in range(columns):
-        last, count, s = end[j], 0, 0.0
-        for i in range(max(j + 1, below), rows):
-            if a[i, j] != 0.0:
-                at[count], f[count] = i, a[i, j]
-                count += 1
-                s += a[i, j] * a[i, j]
-                a[i, j], last = 0.0, max(last, end[i])
-        if s == 0.0:
-            continue
-        pivot = a[j, j]
-        length = np.sqrt(pivot * pivot + s)
-        if pivot > 0.0:
-            length = -length
-        v = pivot - length
-        scale = 2.0 / (v * v + s)
-        a[j, j], end[j] = length, last
-        for l in range(count):
-            end[at[l]] = last
-        c = j + 1
-        while c < last:
-            w, x, y, z = v * a[j, c], v * a[j, c + 1], v * a[j, c + 2], v * a[j, c + 3]
-            for l in range(count):
-                i = at[l]
-                w += f[l] * a[i, c]
-                x += f[l] * a[i, c + 1]
-                y += f[l] * a[i, c + 2]
-                z += f[l] * a[i, c + 3]
-            w, x, y, z = scale * w, scale * x, scale * y, scale * z
-            a[j, c] -= v * w
-            a[j, c + 1] -= v * x
-            a[j, c + 2] -= v * y
-            a[j, c + 3] -= v * z
-            for l in range(count):
-                i = at[l]
-                a[i, c] -= f[l] * w
-                a[i, c + 1] -= f[l] * x
-                a[i, c + 2] -= f[l] * y
-                a[i, c + 3] -= f[l] * z
-            c += 4
 
 
 def stacked(arrays: Iterable[Array], *shape: int) -> Array:
