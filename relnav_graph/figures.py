@@ -1,4 +1,4 @@
-"""Figures of a comparison: errors with three-sigma bands, and the trajectory.
+"""Figures of a comparison: errors with three-sigma bands, the trajectory, and the map.
 
 Figures are built as objects, without pyplot, so that no global state is touched.
 """
@@ -18,16 +18,20 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import POINT
 from relnav_graph.core.contracts import Derived
+from relnav_graph.core.numbered import number_in
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind, Track, Truth
 from relnav_graph.scoring.deviations import errors, estimates, finite
+from relnav_graph.scoring.maps import family_scores
 from relnav_graph.scoring.metrics import with_smoothed
 
 __all__ = [
     "STYLE",
     "WIDTH",
     "error_figures",
+    "map_figure",
     "row_styles",
     "save_figures",
     "symbol",
@@ -155,9 +159,14 @@ def _draw_errors(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
     peaks = {line.name: float(line.reach(axis).max()) for line in lines}
     beyond = [f"{name} to {float(f'{p:.2g}'):g}" for name, p in peaks.items() if p > limit]
     if beyond:
-        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1}
-        note = ax.text(0.995, 0.97, "off scale: " + ", ".join(beyond), transform=ax.transAxes)
-        note.set(fontsize=6, color="0.25", ha="right", va="top", zorder=6, bbox=box)
+        _note(ax, beyond)
+
+
+def _note(ax: Axes, beyond: Sequence[str]) -> None:
+    """Say in a panel what is off its scale."""
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1}
+    note = ax.text(0.995, 0.97, "off scale: " + ", ".join(beyond), transform=ax.transAxes)
+    note.set(fontsize=6, color="0.25", ha="right", va="top", zorder=6, bbox=box)
 
 
 def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
@@ -183,9 +192,13 @@ def _state_figure(state: str, lines: Sequence[_Line]) -> Figure:
     figure.align_ylabels()
     handles: list[Any] = [Line2D([], [], **line.style) for line in lines]
     if known and not aimed:  # a control error has no sigma
-        handles.append(Patch(facecolor="0.85", edgecolor="0.5", linewidth=0.5, label="±3 sigma"))
+        handles.append(_three_sigma())
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure
+
+
+def _three_sigma() -> Patch:
+    return Patch(facecolor="0.85", edgecolor="0.5", linewidth=0.5, label="±3 sigma")
 
 
 def error_figures(
@@ -242,6 +255,127 @@ def _draw_plane(ax: Axes, paths: Sequence[tuple[Array, Mapping[str, Any]]], h: i
     for point, marker, label in ((r[0], "o", "start"), (r[-1], "s", "end")):
         ax.plot(point[h], point[v], marker, color="black", markersize=4, zorder=6, label=label)
     ax.plot(0, 0, "+", color="black", markersize=8, zorder=6, label="target")
+
+
+@dataclass(frozen=True, eq=False)
+class _MapRow:
+    """The map of one track at its last epoch, mm or so: errors (k, 3), NaN where truth knows none,
+    and sigma (k, 3), of the points `names`."""
+
+    names: Sequence[str]
+    e: Array
+    sigma: Array
+    style: Mapping[str, Any]
+
+
+def _map_rows(tracks: Iterable[Track], truth: Truth | None) -> dict[str, _MapRow]:
+    rows, found = with_smoothed(tracks), dict[str, _MapRow]()
+    styles = row_styles({name: track.kind for name, track in rows.items()})
+    for name, track in rows.items():
+        end = track.at(slice(-1, None))
+        states, errors_of = family_scores(end, track.truth or truth)
+        state = states.get(POINT.name)
+        if state is None or not finite(state.value, state.P).all():
+            continue
+        names = [b.name for b in state.members]
+        e = np.full((len(names), POINT.dim), np.nan)
+        if POINT.name in errors_of:
+            known = errors_of[POINT.name]
+            at = [names.index(b.name) for b in known.members]
+            e[at] = POINT.table_scale * known.e[0].reshape(-1, POINT.dim)
+        variance = np.diagonal(state.P[0]).reshape(-1, POINT.dim)
+        sigma = POINT.table_scale * np.sqrt(np.maximum(variance, 0))
+        found[name] = _MapRow(names, e, sigma, styles[name])
+    return found
+
+
+def map_figure(
+    tracks: Iterable[Track], truth: Truth | None, seen: Mapping[str, int] | None = None
+) -> Figure | None:
+    """Errors of the points of a map with 3-sigma, by point, as at the last epoch of each track.
+
+    Points stand in order of how often they were seen; seen: that number, by name of the block.
+    Where truth does not know a point: 1-sigma alone. None when no track has a finite map.
+    """
+    rows = _map_rows(tracks, truth)
+    if not rows:
+        return None
+    counts = seen or {}
+    names = list(dict.fromkeys(n for row in rows.values() for n in row.names))
+    names.sort(key=lambda n: -counts.get(n, 0))
+    known = any(np.isfinite(row.e).any() for row in rows.values())
+    panels_of = [*range(POINT.dim), *(["times seen"] if counts else [])]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 1.2 + 1.3 * len(panels_of)), layout="constrained")
+        panels = figure.subplots(len(panels_of), 1, sharex=True, squeeze=False)[:, 0]
+        for axis in range(POINT.dim):
+            _draw_map(panels[axis], rows, names, axis, known)
+            panels[axis].set_ylabel(_label(POINT, axis))
+        if counts:
+            panels[-1].bar(
+                range(len(names)), [counts.get(n, 0) for n in names], color="0.6", zorder=2
+            )
+            panels[-1].set_ylabel("times seen")
+        ids = [str(number_in(n)[1]) for n in names]
+        size = 6 if len(ids) <= _LABELLED else 3.5
+        panels[-1].set_xticks(range(len(ids)), ids, fontsize=size, rotation=90)
+        panels[-1].set_xlim(-0.7, len(ids) - 0.3)
+        panels[-1].set_xlabel("id of the point" + (", by how often it was seen" if counts else ""))
+        what = "error (truth − estimate)" if known else "1-sigma uncertainty"
+        panels[0].set_title(f"Map {symbol(POINT)}: {what}, in frame {POINT.frame}", loc="left")
+        handles: list[Any] = [_dot(row.style) for row in rows.values()]
+        if known:
+            handles.append(
+                Patch(facecolor="0.85", edgecolor="0.5", linewidth=0.5, label="±3 sigma")
+            )
+        figure.align_ylabels()
+        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure
+
+
+#: Points up to which their ids are legible below a panel; how many times larger than the smallest
+#: errors others may be, so that a panel still holds them.
+_LABELLED, _FAR_OFF = 80, 5.0
+
+
+def _dot(style: Mapping[str, Any]) -> Line2D:
+    marker = {"linestyle": "none", "marker": "o", "markersize": 3}
+    return Line2D([], [], **{**style, **marker})
+
+
+def _draw_map(
+    ax: Axes, rows: Mapping[str, _MapRow], names: Sequence[str], axis: int, known: bool
+) -> None:
+    width, beyond = 0.8 / len(rows), []
+    if not known:
+        ax.set_yscale("log")
+    else:
+        needs = [np.fmax(3 * r.sigma, np.abs(r.e))[:, axis] for r in rows.values()]
+        sizes = [float(np.median(n)) for n in needs]
+        # What lies far beyond the best, such as a filter that broke, must not crush it.
+        near = [(n, m) for n, m in zip(needs, sizes, strict=True) if m <= _FAR_OFF * min(sizes)]
+        limit = 1.15 * max(min(n.max(), _EXCURSION * m) for n, m in near) or 1.0
+        ax.set_ylim(-limit, limit)
+        beyond = [
+            f"{name} to {float(f'{n.max():.2g}'):g}"
+            for name, n in zip(rows, needs, strict=True)
+            if n.max() > limit
+        ]
+    for k, row in enumerate(rows.values()):
+        x = np.array([names.index(n) for n in row.names]) + width * (k + 0.5) - 0.4
+        dots: dict[str, Any] = {"color": row.style["color"], "linestyle": "none", "marker": "o"}
+        if known:
+            band = 3 * row.sigma[:, axis]
+            light = {"color": row.style["color"], "alpha": 0.28, "linewidth": 0}
+            ax.bar(x, 2 * band, width, -band, zorder=2, **light)
+            ax.plot(x, row.e[:, axis], markersize=2.4, zorder=4, **dots)
+        else:
+            ax.plot(x, row.sigma[:, axis], markersize=2.4, zorder=4, **dots)
+    if known:
+        ax.axhline(0, color="0.4", linewidth=0.5, zorder=1.5)
+    ax.grid(axis="x", visible=False)
+    if beyond:
+        _note(ax, beyond)
 
 
 def save_figures(figures: Mapping[str, Figure], folder: Path | str) -> list[Path]:

@@ -17,6 +17,7 @@ from relnav_graph.core.state import Block
 from relnav_graph.maths.orbit import KeplerOrbit
 
 __all__ = [
+    "Ambiguous",
     "CopiesBlocks",
     "Derived",
     "Dynamics",
@@ -171,6 +172,14 @@ class Derived(Protocol):
 
 
 # Optional abilities of a model. Code that needs one tests for it by isinstance.
+
+
+@runtime_checkable
+class Ambiguous(Protocol):
+    """A derived quantity of which several values say the same, such as axes without a sign."""
+
+    def nearest(self, value: Array, to: Array) -> Array:
+        """Of what says the same as the values (N, 3, 3) or (N, dim), those nearest to `to`."""
 
 
 @runtime_checkable

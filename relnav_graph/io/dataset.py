@@ -8,6 +8,7 @@
                           loops, t_from_s, the time of the earlier epoch
     <input>.csv           t_start_s, t_end_s, the columns that its process declares
     truth_<block>.csv     t_s, the columns of `component_columns`; optional
+    truth_<family>.csv    id, the columns of `component_columns`: of numbered blocks, such as points
     dataset.toml          format, settings that the data bring, digests; optional
 
 Units are SI and stand in the names of the columns; one row is one observation, in order
@@ -38,6 +39,7 @@ from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
+from relnav_graph.core.numbered import families, number_in
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
@@ -50,6 +52,7 @@ from relnav_graph.io.closures import (
     keyframes_in,
     of_closures,
 )
+from relnav_graph.io.maps import family_table
 from relnav_graph.io.tabular import (
     Format,
     Table,
@@ -240,7 +243,8 @@ def read_dataset(
     measurements.sort(key=lambda m: m.t)
     times = _epochs(folder, tables.values(), measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
-    truth = read_truth(folder, blocks, times, manifest.get("truth_source", ""), statics)
+    source = manifest.get("truth_source", "")
+    truth = read_truth(folder, blocks, times, source, statics, families(sensors))
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 
@@ -306,6 +310,17 @@ def _tables(
     for name in truth.values:
         if name in blocks and name not in copies:
             tables.append((f"truth_{name}", _truth_columns(blocks[name], truth)))
+    for family, block in families(sensors).items():
+        parts = [(n, i) for n in truth.values for f, i in (number_in(n),) if f == family]
+        known = {
+            n: block.numbered(i)
+            for n, i in parts
+            if i is not None and np.isfinite(truth.values[n][:1]).all()
+        }
+        if known:
+            values = np.stack([truth.values[n][:1] for n in known], axis=1)  # at all times the same
+            rows = family_table(truth.t[:1], tuple(known.values()), values)
+            tables.append((f"truth_{family}", rows))
     names = [name for name, _ in tables]
     for name in names:
         if names.count(name) > 1:

@@ -8,7 +8,8 @@ definitions of the blocks stand beside the numbers, so that reading needs nothin
 Static blocks, which have one value for the pass, are variables of their track's group like the
 others, with ``static_covariance``, and ``cross_covariance`` with the states of the epochs: over
 ``time`` where each epoch says something else of them, over ``pass``, of length one, where all say
-the same, as smoothers do.
+the same, as smoothers do. A family of numbered ones, such as the points of a map, is one variable,
+with ``point_id`` and the ``point_covariance`` of each.
 """
 
 from __future__ import annotations
@@ -17,20 +18,26 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, Json
+from pydantic import Json
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.cautions import Caution
+from relnav_graph.core.numbered import members, number_in, unnumbered
 from relnav_graph.core.state import Block, Layout
-from relnav_graph.core.track import Kind, Statics, Status, Track, Truth
-from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.core.track import Kind, Statics, Status, Track, Truth, at_all_times
+from relnav_graph.errors import InputError
+from relnav_graph.io.block_variables import (
+    block_of,
+    block_variable,
+    family_variables,
+    stored_family,
+)
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
 from relnav_graph.io.stored import Count, check_json
-from relnav_graph.io.tabular import from_components, tangent_columns, to_components
+from relnav_graph.io.tabular import from_components, tangent_columns
 
 __all__ = ["cautions_in", "cautions_out", "read_results", "write_results"]
 
@@ -38,47 +45,6 @@ _FORMAT = "relnav-graph results"
 _VERSION = 1
 #: Attributes of the file that are not the caller's.
 _OWN = ("format", "format_version", "writer", "tracks", "sha256")
-
-
-def _block_variable(block: Block, values: Array, over: str = "time") -> Variable:
-    """A block over time, or over the pass, with its definition in the attributes."""
-    quaternion = block.manifold == "SO3"
-    what = ", Hamilton quaternion, scalar first (q_wxyz)" if quaternion else ""
-    attributes: Attributes = {
-        "units": "1" if quaternion else block.unit,
-        "long_name": f"{block.name.replace('_', ' ')} {block.symbol}{what}",
-        "symbol": block.symbol,
-        "manifold": block.manifold,
-        "tangent_dim": block.dim,
-        "tangent_units": block.unit,
-        "frame": block.frame,
-        "table_units": block.table_unit,
-    }
-    components = to_components(block, values)
-    return Variable((over, f"{block.name}_component"), components, attributes)
-
-
-@dataclass(frozen=True)
-class _StoredBlock:
-    """The attributes of a block's variable that are read back."""
-
-    symbol: str
-    manifold: Literal["SO3", "vector"]
-    tangent_dim: Annotated[int, Field(ge=1, le=1000)]
-    tangent_units: str
-    frame: str
-    table_units: str
-
-
-def _block_of(where: str, name: str, variable: Variable) -> Block:
-    a = check_json(f"{where}/{name}", _json(variable.attributes), _StoredBlock)
-    try:
-        return Block(
-            *(name, a.symbol, a.manifold, a.tangent_dim),
-            *(a.tangent_units, a.frame, a.table_units),
-        )
-    except RelnavError as error:
-        raise InputError(f"{where}/{name}: damaged: {error}") from error
 
 
 def cautions_out(cautions: Iterable[Caution]) -> str:
@@ -112,10 +78,18 @@ def _statics_variables(statics: Statics) -> dict[str, Variable]:
     if one:
         x, P = x[:1], P[:1]
     over, names = ("pass" if one else "time"), _orders(blocks, "static")
-    found = {b.name: _block_variable(b, statics.layout.value(x, b.name), over) for b in blocks}
+    value, found = statics.layout.value, dict[str, Variable]()
+    for b in blocks:
+        if b.number is None:
+            found[b.name] = block_variable(b, value(x, b.name), over)
+    for own in members(blocks).values():
+        at = [statics.layout.tangent(b.name) for b in own]
+        values = np.stack([value(x, b.name) for b in own], axis=1)
+        each = np.stack([P[:, rows, rows] for rows in at], axis=1)
+        found |= family_variables(own, values, over, each)
     what = "covariance of the right perturbation, SI units and rad, of blocks with one value"
-    own: Attributes = {"long_name": what, **names}
-    found["static_covariance"] = Variable((over, "static", "static_2"), P, own)
+    joint: Attributes = {"long_name": what, **names}
+    found["static_covariance"] = Variable((over, "static", "static_2"), P, joint)
     what = "covariance of the states of an epoch with blocks that have one value"
     between: Attributes = {"long_name": what, **names}
     cross = Variable(("time", "state", "static"), statics.cross, between)
@@ -125,7 +99,7 @@ def _statics_variables(statics: Statics) -> dict[str, Variable]:
 def _track_group(track: Track, smoothed: str, truth: str) -> Group:
     blocks = list(track.layout)
     variables = {"time": _time(track.t)}
-    variables |= {b.name: _block_variable(b, track.value(b.name)) for b in blocks}
+    variables |= {b.name: block_variable(b, track.value(b.name)) for b in blocks}
     covariance: Attributes = {
         "long_name": "covariance of the right perturbation, SI units and rad",
         **_orders(blocks, "state"),
@@ -155,8 +129,17 @@ def _track_group(track: Track, smoothed: str, truth: str) -> Group:
 
 def _truth_group(truth: Truth, blocks: Mapping[str, Block]) -> Group:
     variables = {"time": _time(truth.t)}
-    known = [name for name in truth.values if name in blocks]
-    variables |= {name: _block_variable(blocks[name], truth.values[name]) for name in known}
+    known = [n for n in truth.values if n in blocks and blocks[n].number is None]
+    variables |= {name: block_variable(blocks[name], truth.values[name]) for name in known}
+    named = {b.family: unnumbered(b) for b in blocks.values() if b.number is not None}
+    parts = [(name, *number_in(name)) for name in truth.values]
+    for family, block in named.items():
+        own = {n: block.numbered(i) for n, f, i in parts if f == family and i is not None}
+        if own:
+            values, over = np.stack([truth.values[name] for name in own], axis=1), "time"
+            if len(values) and (values == values[:1]).all():
+                values, over = values[:1], "pass"
+            variables |= family_variables(tuple(own.values()), values, over)
     return Group({"source": truth.source}, variables)
 
 
@@ -261,6 +244,17 @@ def _values(where: str, group: Group, name: str, shape: tuple[int, ...]) -> Arra
 
 
 def _block_values(where: str, group: Group, block: Block, count: int) -> Array:
+    if block.number is not None:
+        ids, values = stored_family(where, group, block.family)
+        at = np.flatnonzero(ids == block.number)
+        if not len(at) or values.shape[::2] != (count, block.dim):
+            found = f"{values.shape} of the ids {ids}"
+            raise InputError(
+                f"{where}/{block.family}: damaged: found {found}, expected {block.name} at {count}"
+                f" times in {block.dim} components"
+            )
+        own: Array = values[:, at[0]]
+        return own
     shape = (count, 4 if block.manifold == "SO3" else block.dim)
     return from_components(block, _values(where, group, block.name, shape))
 
@@ -268,7 +262,12 @@ def _block_values(where: str, group: Group, block: Block, count: int) -> Array:
 def _layout(where: str, group: Group, covariance: str) -> Layout:
     """Of the blocks that a covariance names."""
     order = str(_variable(where, group, covariance).attributes.get("block_order", "")).split()
-    return Layout(_block_of(where, key, _variable(where, group, key)) for key in order)
+    blocks = []
+    for key in order:
+        name, number = number_in(key)
+        block = block_of(where, name, _variable(where, group, name))
+        blocks.append(block if number is None else block.numbered(number))
+    return Layout(blocks)
 
 
 def _stored_states(where: str, group: Group, layout: Layout, count: int) -> Array:
@@ -321,7 +320,7 @@ def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = Fal
         smoothed=_track(path, groups, a.smoothed, True) if a.smoothed else None,
         truth=_truth(f"{path}, {a.truth}", truth) if truth is not None else None,
         controlled=tuple(
-            _block_of(where, n, _variable(where, truth, n)) for n in controlled if truth is not None
+            block_of(where, n, _variable(where, truth, n)) for n in controlled if truth is not None
         ),
         cautions=tuple(a.cautions),
         statics=_statics(where, group, layout, len(t)),
@@ -330,8 +329,19 @@ def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = Fal
 
 def _truth(where: str, group: Group) -> Truth:
     t = _values(where, group, "time", (-1,))
-    blocks = [_block_of(where, n, v) for n, v in group.variables.items() if n != "time"]
-    values = {b.name: _block_values(where, group, b, len(t)) for b in blocks}
+    values: dict[str, Array] = {}
+    for name, variable in group.variables.items():
+        if "manifold" not in variable.attributes:
+            continue  # the times, and the ids of a family
+        block = block_of(where, name, variable)
+        if variable.values.ndim < 3:
+            values[name] = _block_values(where, group, block, len(t))
+            continue
+        ids, rows = stored_family(where, group, name)
+        for i in ids.tolist():
+            own = block.numbered(i)
+            known = _block_values(where, group, own, len(rows))
+            values[own.name] = at_all_times(known[0], len(t)) if len(rows) == 1 else known
     return Truth(t, values, check_json(where, _json(group.attributes), _StoredTruth).source)
 
 

@@ -8,11 +8,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.numbered import members
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.files import file_in
 from relnav_graph.io.atomic import atomic
+from relnav_graph.io.maps import family_table
 from relnav_graph.io.tabular import component_columns, tangent_columns, to_components, write_table
 
 __all__ = ["write_csv"]
@@ -23,7 +25,8 @@ def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
 
     Attitudes are quaternions, their sigmas rotation angles about the axes on the right of
     the frame's letters. Static blocks have a table ``NAME_statics`` of their own: one row without
-    time where all epochs of the track say the same of them, as smoothers do. Raises InputError
+    time where all epochs of the track say the same of them, as smoothers do; a family of numbered
+    ones a table ``NAME_FAMILY`` with a row for each, by its id. Raises InputError
     when a file cannot be written, or would lie elsewhere, or when two would bear one name.
     """
     tables: dict[str, dict[str, Array]] = {}
@@ -41,11 +44,17 @@ def _add(tables: dict[str, dict[str, Array]], name: str, track: Track) -> None:
     """The tables of one track."""
     found = {name: {"t_s": track.t, **_columns(track, track.layout)}}
     if track.statics is not None:
-        own = _columns(track, track.statics.layout)
+        layout = track.statics.layout
+        own = _columns(track, [b for b in layout if b.number is None])
         one = len(track.t) > 0 and all((c == c[0]).all() for c in own.values())
-        found[f"{name}_statics"] = (
-            {n: c[:1] for n, c in own.items()} if one else {"t_s": track.t, **own}
-        )
+        if own:
+            found[f"{name}_statics"] = (
+                {n: c[:1] for n, c in own.items()} if one else {"t_s": track.t, **own}
+            )
+        for family, blocks in members(layout).items():
+            values = np.stack([track.value(b.name) for b in blocks], axis=1)
+            P = np.stack([track.covariance(b.name) for b in blocks], axis=1)
+            found[f"{name}_{family}"] = family_table(track.t, blocks, values, P)
     for key, columns in found.items():
         if key in tables:
             raise InputError(f"{key!r} cannot name a table: taken twice")

@@ -131,12 +131,14 @@ def read_truth(
     epochs: Array,
     source: str,
     statics: Container[str] = (),
+    numbered: Mapping[str, Block] | None = None,
 ) -> Truth | None:
     """Truth of those of `blocks` that have a table ``truth_NAME``, at all their times, and at the
     `epochs` (M,), s, between them.
 
     source: where it is from; statics: names of static blocks, which are known at all times where
-    all rows of their table are the same; one row needs no time. None without any table. Raises
+    all rows of their table are the same; one row needs no time; numbered: families of numbered
+    blocks, whose table has a row for each, by its id. None without any table. Raises
     InputError, naming file, line and column, on a table with other columns, times that do not
     increase, or a quaternion whose length is not one within 1e-3; it is normalised.
     """
@@ -146,7 +148,12 @@ def read_truth(
         if table is not None:
             known = from_components(block, table.stack(component_columns(block)))
             found[name] = table, known
-    if not found:
+    maps: dict[str, Array] = {}
+    for name, block in (numbered or {}).items():
+        table = read_table(folder, f"truth_{name}")
+        if table is not None:
+            maps |= _members(table, block)
+    if not found and not maps:
         return None
     timed = [table["t_s"] for table, _ in found.values() if "t_s" in table.columns]
     own = np.unique(np.concatenate([np.zeros(0), *timed]))
@@ -161,4 +168,17 @@ def read_truth(
         values[name] = np.full((len(times), *known.shape[1:]), np.nan)
         values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs)
         values[name][np.searchsorted(times, table["t_s"])] = known
+    values |= {name: at_all_times(X, len(times)) for name, X in maps.items()}
     return Truth(times, values, source)
+
+
+def _members(table: Table, block: Block) -> dict[str, Array]:
+    """True values (dim,) of numbered blocks, by name."""
+    columns = component_columns(block)
+    table.require(("id", *columns))
+    ids = table["id"]
+    table.refuse((ids < 0) | (ids != np.round(ids)), "id", "a number of a block, 0 or more")
+    first = np.unique(ids, return_index=True)[1]
+    table.refuse(~np.isin(np.arange(len(ids)), first), "id", "each number once")
+    rows = table.stack(columns)
+    return {block.numbered(int(i)).name: X for i, X in zip(ids, rows, strict=True)}

@@ -17,9 +17,22 @@ from relnav_graph.compiled.contracts import (
     STACK,
     VECTOR,
 )
-from relnav_graph.linear.rows import observe, propagate
-from relnav_graph.linear.tables import TABLES, Tables, rows_of
-from relnav_graph.linear.update import innovation_covariance, misfit, robust_update
+from relnav_graph.linear.partial_update import observe_own, update_others
+from relnav_graph.linear.rows import propagate
+from relnav_graph.linear.tables import (
+    COLUMNS,
+    NUMBERED,
+    OWN_COLUMN,
+    SENSOR,
+    TABLES,
+    Tables,
+    rows_of,
+)
+from relnav_graph.linear.update import (
+    innovation_covariance,
+    misfit,
+    robust_update,
+)
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
     cholesky,
@@ -30,7 +43,7 @@ from relnav_graph.maths.dense import (
     sum_of_squares,
 )
 from relnav_graph.maths.losses import root_weight
-from relnav_graph.maths.manifold import retract, times_jacobian
+from relnav_graph.maths.manifold import local, retract, times_jacobian
 
 __all__ = [
     "FAILURES",
@@ -212,15 +225,23 @@ def filter_epochs(
         if last > first:
             own_losses, own_weight = losses[first:last], weight[first:last]
             own_squares = squares[: last - first]
+            own, own_kinds = _read(tables, kinds, n, Q.shape[1], first, last)
+            few = own.shape[0] < n
+            P_own = dense.part_of(Pk, own) if few else Pk
+            before, there = xk.copy(), np.empty(own.shape[0])
+            for j in range(own.shape[0]):
+                there[j] = here[own[j]]
             _measured_epoch(
                 tables,
-                kinds,
+                own_kinds,
+                own,
+                n,
                 k,
                 first,
                 last,
                 xk,
-                Pk,
-                here,
+                P_own,
+                there,
                 limit[first:last],
                 own_losses,
                 own_weight,
@@ -232,7 +253,9 @@ def filter_epochs(
             )
             if failure[0] == 0 and not robust_update(
                 tables,
-                kinds,
+                own_kinds,
+                own,
+                n,
                 k,
                 first,
                 last,
@@ -241,11 +264,15 @@ def filter_epochs(
                 own_losses,
                 own_squares,
                 own_weight,
-                here,
+                there,
                 xk,
-                Pk,
+                P_own,
             ):
                 failure[0] = NOT_POSITIVE
+            if few and failure[0] == 0:
+                d = local(before, xk, own_kinds, own.shape[0])
+                if not update_others(own, d, own_kinds, P_own, kinds, xk, Pk):
+                    failure[0] = NOT_POSITIVE
             if failure[0] != 0:
                 return
         dense.put_vector(x[k], 0, xk)
@@ -259,9 +286,38 @@ def filter_epochs(
 
 
 @jit
+def _read(
+    tables: Tables, kinds: Indices, n: int, moving: int, first: int, last: int
+) -> tuple[Indices, Indices]:
+    """The columns of all blocks that move, `moving` of n, and of the static ones that observations
+    first to last - 1 read; and the kinds of these blocks, with their places among these columns."""
+    if moving == n:
+        return np.arange(n), kinds
+    read = np.zeros(n, np.int64)
+    read[:moving] = 1
+    for o in range(first, last):
+        sensor = tables.sensors[tables.observations[o, SENSOR]]
+        if o == first or tables.observations[o, SENSOR] != tables.observations[o - 1, SENSOR]:
+            for i in range(sensor[COLUMNS], sensor[COLUMNS + 1]):
+                read[tables.places[i]] = 1
+        for j in range(sensor[NUMBERED]):
+            read[tables.observations[o, OWN_COLUMN] + j] = 1
+    own, own_kinds = np.flatnonzero(read), np.empty_like(kinds)
+    blocks = filled = 0
+    for k in range(kinds.shape[0]):
+        if read[kinds[k, 2]] != 0:
+            own_kinds[blocks] = kinds[k]
+            own_kinds[blocks, 2] = filled
+            blocks, filled = blocks + 1, filled + kinds[k, 3]
+    return own, own_kinds[:blocks]
+
+
+@jit
 def _measured_epoch(
     tables: Tables,
     kinds: Indices,
+    own: Indices,
+    whole: int,
     k: int,
     first: int,
     last: int,
@@ -279,8 +335,9 @@ def _measured_epoch(
 ) -> None:
     """Gate epoch k: fill weights, squares, nis[k] and used[k] from the innovations.
 
-    x (size,), P (n, n): the prediction; ahead (n,): the step from there to where its measurements
-    are linearised; limit, weight, squares (observations of the epoch,);
+    x (size,): the prediction; P (n, n): its covariance, of the blocks of `kinds`, which have the
+    columns own (n,) of all, of dimension `whole`; ahead (n,): the step from there to where the
+    measurements are linearised; limit, weight, squares (observations of the epoch,);
     losses (observations of the epoch, 2); rows: number of their rows; nis, used (N,).
     """
     n = P.shape[0]
@@ -291,7 +348,7 @@ def _measured_epoch(
     at = np.empty((1, x.shape[0]))
     moved = sum_of_squares(ahead) > 0.0
     dense.put_vector(at[0], 0, retract(x, ahead, kinds) if moved else x)
-    observe(tables, first, last, k, at, weight, r, H, status)
+    observe_own(tables, first, last, k, at, weight, own, whole, r, H, status)
     if moved:
         times_jacobian(H, ahead, kinds, False)
         for i in range(rows):

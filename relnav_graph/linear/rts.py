@@ -9,7 +9,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import give_way, jit_loop
 from relnav_graph.compiled.contracts import INDEX_MATRIX, INDICES, MATRIX, STACK
 from relnav_graph.linear.filter import NOT_POSITIVE
-from relnav_graph.linear.update import to_tangent
+from relnav_graph.linear.partial_update import to_tangent
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
     copy,

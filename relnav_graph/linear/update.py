@@ -9,7 +9,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
-from relnav_graph.linear.rows import observe
+from relnav_graph.linear.partial_update import observe_own, to_tangent
 from relnav_graph.linear.tables import Tables, rows_of
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
@@ -20,8 +20,6 @@ from relnav_graph.maths.dense import (
     scaled_cholesky,
     solve_lower,
     sum_of_squares,
-    symmetrize,
-    transpose_in_place,
 )
 from relnav_graph.maths.losses import HUBER, root_weight
 from relnav_graph.maths.manifold import local, retract, times_jacobian, times_transposed_jacobian
@@ -31,7 +29,6 @@ __all__ = [
     "innovation_covariance",
     "misfit",
     "robust_update",
-    "to_tangent",
 ]
 
 #: Most rounds of reweighting; how many of them, first, take a convex loss instead; and the
@@ -137,19 +134,6 @@ def misfit(H: Array, P: Array, r: Array) -> float:
 
 
 @jit
-def to_tangent(P: Array, d: Array, kinds: Indices, inverse: bool) -> None:
-    """``P = J P J^T``: the covariance P (n, n) moved to the tangent of another state, in place.
-
-    J is the right Jacobian at d (n,), which moves P from the tangent at x to that at x (+) d;
-    with `inverse` J^-1, which moves it back. The result is exactly symmetric.
-    """
-    times_transposed_jacobian(P, d, kinds, inverse)
-    transpose_in_place(P)
-    times_transposed_jacobian(P, d, kinds, inverse)
-    symmetrize(P)
-
-
-@jit
 def _possible(before: Indices, after: Indices) -> bool:
     """Whether a new state may be accepted, by the statuses (observations,) before and after.
 
@@ -167,6 +151,8 @@ def _possible(before: Indices, after: Indices) -> bool:
 def update(
     tables: Tables,
     kinds: Indices,
+    own: Indices,
+    whole: int,
     epoch: int,
     first: int,
     last: int,
@@ -178,6 +164,9 @@ def update(
     P: Array,
 ) -> bool:
     """Measurement update of one epoch in place: x (size,), P (n, n), by square roots.
+
+    x: the whole state, of which the blocks of `kinds` are updated; own (n,): the columns of these
+    in the tangent of all blocks, of dimension `whole`.
 
         x+ = argmin |local(x, x+)|^2_P^-1 + |r(x+)|^2,  P+ = (C R^-1) (C R^-1)^T
         with C C^T = P and R^T R = I + (H C)^T (H C)
@@ -208,7 +197,7 @@ def update(
         dense.put_vector(x, 0, retract(x0, e, kinds))
         cost = _squared_length(L, scale, e)
     dense.put_vector(at[0], 0, x)
-    observe(tables, first, last, epoch, at, weight, r, H, status)
+    observe_own(tables, first, last, epoch, at, weight, own, whole, r, H, status)
     cost += sum_of_squares(r)
     for _ in range(iterations):
         copy(H, H0)
@@ -228,7 +217,9 @@ def update(
         found = False
         for _halving in range(10):
             dense.put_vector(at[0], 0, retract(x, step[0], kinds))
-            observe(tables, first, last, epoch, at, weight, r_try, H_try, status_try)
+            observe_own(
+                tables, first, last, epoch, at, weight, own, whole, r_try, H_try, status_try
+            )
             if _possible(status, status_try):
                 dense.put_vector(e, 0, local(x0, at[0], kinds, n))
                 cost_try = _squared_length(L, scale, e) + sum_of_squares(r_try)
@@ -259,6 +250,8 @@ def update(
 def robust_update(
     tables: Tables,
     kinds: Indices,
+    own: Indices,
+    whole: int,
     epoch: int,
     first: int,
     last: int,
@@ -275,8 +268,8 @@ def robust_update(
 
     losses (last - first, 2): kind and tuning; innovations (last - first,): mean squares of the
     normalised innovations, for the first weights. weight (last - first,): 1 to use an
-    observation or 0 to leave it out before, square roots of the weights after; ahead (n,): see
-    there. x (size,) and P (n, n) are updated in place.
+    observation or 0 to leave it out before, square roots of the weights after; own, whole, ahead:
+    see there. x (size,) and P (n, n) are updated in place.
     """
     count = last - first
     robust = False
@@ -302,12 +295,14 @@ def robust_update(
             break
         dense.put_vector(x, 0, x0)
         copy(P0, P)
-        if not update(tables, kinds, epoch, first, last, rows, iterations, weight, ahead, x, P):
+        if not update(
+            tables, kinds, own, whole, epoch, first, last, rows, iterations, weight, ahead, x, P
+        ):
             return False
         if not robust:
             break
         dense.put_vector(at[0], 0, x)
-        observe(tables, first, last, epoch, at, chosen, r, H, status)
+        observe_own(tables, first, last, epoch, at, chosen, own, whole, r, H, status)
         for i in range(count):
             start, height = rows_of(tables.observations, tables.sensors, first, i)
             s2[i] = sum_of_squares(r[start : start + height]) / height

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from relnav_graph.arrays import Array
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "matrix_at",
     "matvec",
     "norm",
+    "part_of",
     "propagate_covariance",
     "put_block",
     "put_matrix",
@@ -178,6 +179,16 @@ def inverse_upper(R: Array) -> Array:
 def stacked(arrays: Iterable[Array], *shape: int) -> Array:
     """Arrays of one shape, made one after the other and never side by side, as (N, ...)."""
     return np.fromiter(arrays, dtype=np.dtype((np.float64, shape)))
+
+
+@jit
+def part_of(a: Array, chosen: Indices) -> Array:
+    """The rows and columns `chosen` (k,) of a (n, n), as (k, k)."""
+    out = np.empty((chosen.shape[0], chosen.shape[0]))
+    for i in range(chosen.shape[0]):
+        for j in range(chosen.shape[0]):
+            out[i, j] = a[chosen[i], chosen[j]]
+    return out
 
 
 @jit

@@ -8,6 +8,7 @@ from typing import Any
 
 from relnav_graph.report.contents import WorstRun
 from relnav_graph.report.figures import KINDS, plain
+from relnav_graph.scoring.text import ALIGNMENT
 
 __all__ = ["Cell", "Table", "number"]
 
@@ -175,11 +176,13 @@ def constants(summary: Mapping[str, Any]) -> Table | None:
     study = "runs" in summary
     rows = {n: r for n, r in summary["estimators"].items() if "statics" in r}
     units = {s: v["unit"] for row in rows.values() for s, v in row["statics"].items()}
+    counts = {s: v.get("count") for row in rows.values() for s, v in row["statics"].items()}
     head = ["row", "kind", *(["RMSE", "95 % interval"] if study else ["error"]), "1-sigma",
             *(["bound", "RMSE / bound"] if study else []), "ANEES", "95 % band"]  # fmt: skip
     body = []
     for block, unit in units.items():
-        body.append([Cell(_unit(block, unit), "strong")])
+        name = block if counts[block] is None else f"{block}, {counts[block]:g} of them"
+        body.append([Cell(_unit(name, unit), "strong")])
         body += [
             _constant(name, row, row["statics"][block], study)
             for name, row in rows.items()
@@ -191,6 +194,24 @@ def constants(summary: Mapping[str, Any]) -> Table | None:
             both = {key: row[f"statics_{key}"] for key in ("anees", "anees_band")}
             body.append(_constant(name, row, both, study))
     return Table(head, body, 2) if body else None
+
+
+def aligned(summary: Mapping[str, Any]) -> Table | None:
+    """What the alignment of each map leaves, a column per estimator; None without any."""
+    rows = {n: r["aligned"] for n, r in summary["estimators"].items() if "aligned" in r}
+    if not rows:
+        return None
+    body = [
+        [Cell(title, "strong"), *(Cell(number(one.get(key))) for one in rows.values())]
+        for key, title in ALIGNMENT.items()
+        if any(key in one for one in rows.values())
+    ]
+    for state, unit in {
+        n: s["unit"] for r in rows.values() for n, s in r["states"].items()
+    }.items():
+        found = [one["states"].get(state, {}).get("rmse") for one in rows.values()]
+        body.append([Cell(_unit(state, unit), "strong"), *(Cell(number(v)) for v in found)])
+    return Table(["error", *rows], body)
 
 
 def judgements(summary: Mapping[str, Any]) -> Table:

@@ -17,6 +17,7 @@ from relnav_graph.io.manifest import PASS_FILE, PassManifest
 from relnav_graph.io.results import cautions_in, read_results
 from relnav_graph.io.stored import Count, check_json
 from relnav_graph.runs.comparison import compare_pass
+from relnav_graph.runs.outputs import sights
 from relnav_graph.runs.passes import simulated_pass
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
@@ -50,7 +51,8 @@ class WorstRun:
 
 @dataclass(frozen=True, eq=False)
 class PassContents:
-    """One pass: tracks, truth where known, and their summary."""
+    """One pass: tracks, truth where known, and their summary; seen: how many observations there
+    are of each point of a map, by the name of its block."""
 
     scenario: Scenario
     summary: Mapping[str, Any]
@@ -58,6 +60,7 @@ class PassContents:
     truth: Truth | None
     command: str
     versions: Mapping[str, str]
+    seen: Mapping[str, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +89,9 @@ class StudyContents:
             return None
         command = next((w.command for w in self.worst if w.run == run), "")
         tracks, truth = list(found.tracks), found.truths[0]
-        return PassContents(self.scenario, found.summary, tracks, truth, command, versions())
+        return PassContents(
+            self.scenario, found.summary, tracks, truth, command, versions(), sights(found)
+        )
 
 
 @dataclass(frozen=True)
@@ -198,7 +203,9 @@ def _read_pass(path: Path, trust: bool) -> PassContents:
         len(tracks[0].t),
         cautions_in(f"{path / 'results.nc'}, cautions", attributes.get("cautions", "[]")),
     )
-    return PassContents(scenario, found, tracks, truth, manifest.command, manifest.versions)
+    where, text = f"{path / 'results.nc'}, times_seen", attributes.get("times_seen", "{}")
+    seen = check_json(where, text.encode(), dict[str, Count])
+    return PassContents(scenario, found, tracks, truth, manifest.command, manifest.versions, seen)
 
 
 def read_contents(path: Path, trust: bool = False) -> StudyContents | PassContents:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from relnav_graph.constants import VERSION
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError
-from relnav_graph.figures import error_figures, trajectory_figure
+from relnav_graph.figures import error_figures, map_figure, trajectory_figure
 from relnav_graph.io.atomic import atomic
 from relnav_graph.report import cells, setting
 from relnav_graph.report.contents import PassContents, StudyContents
@@ -146,7 +146,7 @@ def _over_runs(study: StudyContents, gallery: Gallery) -> dict[str, list[Shown]]
 def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
     """The scene of a pass, and its figures."""
     derived = derived_quantities(content.scenario.layout)
-    shown: dict[str, Any] = {"scene": None, "path": None, "errors": []}
+    shown: dict[str, Any] = {"scene": None, "path": None, "map": None, "errors": []}
     scene = make_scene(content)
     if scene is not None:
         shown["scene"] = gallery.add_scene(scene)
@@ -154,6 +154,14 @@ def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
     if path is not None:
         caption = "The path of the chaser relative to the target, in the three planes of the frame."
         shown["path"] = gallery.add("Relative position", caption, path)
+    points = map_figure(content.tracks, content.truth, content.seen)
+    if points is not None:
+        caption = (
+            "The points of the target that nobody knew before, as at the last epoch of each row,"
+            " in its own frame: a point for each, in a bar of ±3 sigma about zero where the truth"
+            " is known. Common errors of all points are the centre of mass, or the frame."
+        )
+        shown["map"] = gallery.add("Map", caption, points)
     what = "Errors (truth minus estimate) with ±3 sigma about zero; a consistent estimator leaves"
     caption = f"{what} its band in 0.3 % of the epochs."
     if content.truth is None and not any(track.truth for track in content.tracks):
@@ -246,6 +254,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "cautions": cells.cautions(summary),
         "results": cells.results(summary),
         "constants": cells.constants(summary),
+        "aligned": cells.aligned(summary),
         "command": content.command,
         "versions": content.versions,
         "version": VERSION,

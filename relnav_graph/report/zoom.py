@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
+from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -104,6 +105,20 @@ def _fills(ax: Axes, on: dict[str, str]) -> list[dict[str, Any]]:
     return out
 
 
+def _bars(ax: Axes, on: dict[str, str]) -> list[dict[str, Any]]:
+    """Each set of bars as one outline, with gaps."""
+    out = []
+    for bars in ax.containers:
+        if isinstance(bars, BarContainer) and len(bars):
+            boxes = np.array([bar.get_bbox().get_points() for bar in bars])  # (k, corner, axis)
+            corners = boxes[:, [0, 1, 1, 0, 0], 0], boxes[:, [0, 0, 1, 1, 0], 1]
+            x, y = (np.pad(c, ((0, 0), (0, 1)), constant_values=np.nan).ravel() for c in corners)
+            look = {"mode": "none", "fill": "toself", "fillcolor": _rgba(bars[0].get_facecolor())}
+            quiet = {"hoverinfo": "skip", "showlegend": False}
+            out.append({"type": "scatter", "x": x, "y": y, **look, **quiet, **on})
+    return out
+
+
 def _shapes(ax: Axes, x: str, y: str) -> list[dict[str, Any]]:
     """Lines and bands across the whole panel."""
     out: list[dict[str, Any]] = []
@@ -116,8 +131,9 @@ def _shapes(ax: Axes, x: str, y: str) -> list[dict[str, Any]]:
         refs = (f"{x} domain", y) if flat else (x, f"{y} domain")
         ends = {"x0": x0, "x1": x1, "y0": y0, "y1": y1}
         out.append({"type": "line", **ends, "line": look, "xref": refs[0], "yref": refs[1]})
+    bars = {id(bar) for own in ax.containers for bar in own}
     for patch in ax.patches:
-        if isinstance(patch, Rectangle):
+        if isinstance(patch, Rectangle) and id(patch) not in bars:
             low, high = patch.get_y(), patch.get_y() + patch.get_height()
             look = {"fillcolor": _rgba(patch.get_facecolor()), "line": {"width": 0}}
             ends = {"x0": 0, "x1": 1, "y0": low, "y1": high}
@@ -204,7 +220,7 @@ def zoomable(figure: Figure) -> dict[str, Any]:
         number = "" if k == 0 else str(k + 1)
         x, y = f"x{number}", f"y{number}"
         on = {"xaxis": x, "yaxis": y}
-        data += _fills(ax, on) + _lines(ax, on)
+        data += _fills(ax, on) + _bars(ax, on) + _lines(ax, on)
         shapes += _shapes(ax, x, y)
         annotations += _notes(ax, x, y)
         axes = {"x": _axis(ax, "x", highest) | {"anchor": y}}

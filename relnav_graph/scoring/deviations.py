@@ -6,8 +6,8 @@ covariances: ``Log(R_est^T R_true)`` for an attitude, truth minus estimate for a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.core.contracts import Derived
+from relnav_graph.core.contracts import Ambiguous, Derived
 from relnav_graph.core.models import DerivedQuantity
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
@@ -45,26 +45,44 @@ _RANK = 1e-12
 @dataclass(frozen=True, eq=False)
 class StateEstimates:
     """One state over a pass: value (N, 3, 3) or (N, dim), P (N, dim, dim), SI; constant: whether it
-    is a static block, or derived of such alone."""
+    is a static block, or derived of such alone.
+
+    members: of a family of numbered blocks, whose values stand one after the other, (N, k dim);
+    nearest: where several values say the same, see `relnav_graph.core.contracts.Ambiguous`.
+    """
 
     block: Block
     value: Array
     P: Array
     constant: bool = False
+    members: tuple[Block, ...] = ()
+    nearest: Callable[[Array, Array], Array] | None = None
+
+    def to(self, other: Array, rows: NDArray[np.bool_] | slice = slice(None)) -> Array:
+        """Tangent vectors (M, dim) from M of these values to others (M, 3, 3) or (M, dim)."""
+        own = self.value[rows]
+        return self.block.local(own, other if self.nearest is None else self.nearest(other, own))
 
 
 @dataclass(frozen=True, eq=False)
 class StateErrors:
-    """One state where truth knows it: t (N,) s, e (N, dim) and P (N, dim, dim), SI."""
+    """One state where truth knows it: t (N,) s, e (N, dim) and P (N, dim, dim), SI; members: of a
+    family of numbered blocks, the errors of which stand one after the other."""
 
     block: Block
     t: Array
     e: Array
     P: Array
+    members: tuple[Block, ...] = ()
 
     def where(self, mask: NDArray[np.bool_]) -> StateErrors:
         """The epochs of a mask (N,)."""
-        return StateErrors(self.block, self.t[mask], self.e[mask], self.P[mask])
+        return replace(self, t=self.t[mask], e=self.e[mask], P=self.P[mask])
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The blocks of the errors: one, or the members of a family."""
+        return self.members or (self.block,)
 
 
 def finite(*arrays: Array) -> NDArray[np.bool_]:
@@ -95,12 +113,16 @@ def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
 def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstimates]:
     """Estimates of every block of the track and of every derived quantity that its blocks give.
 
+    Numbered blocks are not among them: a family of them is one state, see
+    `relnav_graph.scoring.maps`.
+
     Of a pass flown under control also the control errors: their "estimate" is the set point,
     zero, with a covariance of NaN.
 
     A derived quantity with the name of a block is left out: the block is the estimate.
     """
-    own, moving = {b.name: b for b in track.blocks}, set(track.layout.blocks)
+    own = {b.name: b for b in track.blocks if b.number is None}
+    moving = set(track.layout.blocks)
     found = {
         n: StateEstimates(b, track.value(n), track.covariance(n), b not in moving)
         for n, b in own.items()
@@ -113,7 +135,10 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
         value, jacobian = _evaluate(quantity, [track.value(n) for n in names])
         P = jacobian @ track.covariance(*names) @ jacobian.transpose(0, 2, 1)
         constant = moving.isdisjoint(quantity.reads)
-        found[quantity.block.name] = StateEstimates(quantity.block, value, P, constant)
+        twins = quantity.nearest if isinstance(quantity, Ambiguous) else None
+        found[quantity.block.name] = StateEstimates(
+            quantity.block, value, P, constant, nearest=twins
+        )
     for block in track.controlled:
         one = np.eye(3) if block.manifold == "SO3" else np.zeros(block.dim)
         aim = np.tile(one, (len(track.t), *([1] * one.ndim)))
@@ -153,7 +178,7 @@ def deviations(
         if true.shape != state.value.shape:
             raise InputError(f"truth of {name!r}: {true.shape}, expected {state.value.shape}")
         keep = finite(true)
-        e = block.local(state.value[keep], true[keep])
+        e = state.to(true[keep], keep)
         found[name] = StateErrors(block, t[keep], e, state.P[keep])
     return found
 
@@ -174,13 +199,13 @@ def joint(found: Iterable[StateErrors], track: Track, layout: Layout) -> tuple[A
     layout: of the track's epochs, or of its statics. SI, in tangent coordinates; of the M epochs
     at which truth knows all of them.
     """
-    blocks = [s for s in found if s.block.name in layout]
-    if not blocks:
+    states = [s for s in found if all(b.name in layout for b in s.blocks)]
+    if not states:
         return np.zeros((0, 1)), np.zeros((0, 1, 1))
-    common = reduce(np.intersect1d, [s.t for s in blocks])
-    e = np.hstack([s.e[np.isin(s.t, common)] for s in blocks])
-    P = track.at(np.isin(track.t, common)).covariance(*(s.block.name for s in blocks))
-    return e, P
+    common = reduce(np.intersect1d, [s.t for s in states])
+    e = np.hstack([s.e[np.isin(s.t, common)] for s in states])
+    names = [b.name for s in states for b in s.blocks]
+    return e, track.at(np.isin(track.t, common)).covariance(*names)
 
 
 def at_the_end(constants: Mapping[str, StateErrors]) -> dict[str, StateErrors]:

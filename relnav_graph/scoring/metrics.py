@@ -23,6 +23,7 @@ from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind, Track, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.scoring.agreement import distances, row_cautions
+from relnav_graph.scoring.alignment import aligned
 from relnav_graph.scoring.deviations import (
     Band,
     StateErrors,
@@ -36,6 +37,7 @@ from relnav_graph.scoring.deviations import (
     joint,
     mean_nees,
 )
+from relnav_graph.scoring.maps import family_scores
 from relnav_graph.scoring.text import table
 
 __all__ = [
@@ -51,6 +53,7 @@ __all__ = [
     "step_ms",
     "summary",
     "table",
+    "window_of",
     "with_smoothed",
 ]
 
@@ -75,6 +78,7 @@ class StateScore:
     inside_1sigma: float | None = None
     inside_2sigma: float | None = None
     inside_3sigma: float | None = None
+    count: int | None = None
 
     @property
     def anees_band(self) -> Band | None:
@@ -86,10 +90,10 @@ class StateScore:
 class Score:
     """Scores of a track.
 
-    states: of all blocks and derived quantities over the pass; anees: of all blocks of the epochs
-    that truth knows, jointly; statics: of the static blocks, and of what is derived of them alone,
-    at the last epoch, which for a smoothed track is every epoch; statics_anees: of all static
-    blocks that truth knows, jointly.
+    states: of all blocks and derived quantities over the pass, but for numbered blocks; anees: of
+    all blocks of the epochs that truth knows, jointly; statics: of the static blocks, of families
+    of numbered ones, and of what is derived of them alone, at the last epoch, which for a smoothed
+    track is every epoch; statics_anees: of all static blocks that truth knows, jointly.
     """
 
     name: str
@@ -117,20 +121,20 @@ def _number(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _sigma(block: Block, P: Array) -> float | None:
-    return _number(block.table_scale * np.sqrt(np.trace(P, axis1=1, axis2=2).mean()))
+def _sigma(block: Block, P: Array, count: int) -> float | None:
+    return _number(block.table_scale * np.sqrt(np.trace(P, axis1=1, axis2=2).mean() / count))
 
 
 def _state_score(s: StateErrors) -> StateScore:
     scale = s.block.table_scale
-    squared = (s.e**2).sum(axis=1)
+    squared = (s.e**2).sum(axis=1) / len(s.blocks)
     known = finite(s.e, s.P).all()
     size, sigma = np.abs(s.e), np.sqrt(np.diagonal(s.P, axis1=1, axis2=2))
     inside = [_number((size <= m * sigma).mean()) if known else None for m in (1, 2, 3)]
     anees, freedoms = mean_nees(s.e, s.P)
     return StateScore(
         unit=s.block.table_unit,
-        sigma=_sigma(s.block, s.P),
+        sigma=_sigma(s.block, s.P, len(s.blocks)),
         t=s.t,
         rmse=_number(scale * np.sqrt(squared.mean())),
         rmse_last=_number(scale * np.sqrt(squared[-1])),
@@ -139,10 +143,11 @@ def _state_score(s: StateErrors) -> StateScore:
         inside_1sigma=inside[0],
         inside_2sigma=inside[1],
         inside_3sigma=inside[2],
+        count=len(s.members) or None,
     )
 
 
-def _window(t: Array, evaluate: tuple[float, float] | None) -> NDArray[np.bool_]:
+def window_of(t: Array, evaluate: tuple[float, float] | None) -> NDArray[np.bool_]:
     """Mask (N,) of the epochs t (N,) in the part `evaluate` of the pass, as two fractions of its
     length; None: all. Raises InputError when there are none."""
     a, b = evaluate or (0.0, 1.0)
@@ -168,7 +173,7 @@ def score(
     """
     states = estimates(track, derived)
     found = {} if truth is None else deviations(states, track.t, truth, derived)
-    return score_of(track, states, found, evaluate)
+    return score_of(track, states, found, evaluate, truth)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # diverged tracks: None in the end
@@ -177,9 +182,11 @@ def score_of(
     states: Mapping[str, StateEstimates],
     found: Mapping[str, StateErrors],
     evaluate: tuple[float, float] | None = None,
+    truth: Truth | None = None,
 ) -> Score:
-    """:func:`score`, of a track's estimates and errors that are at hand already."""
-    inside = _window(track.t, evaluate)
+    """:func:`score`, of a track's estimates and errors that are at hand already; truth: of the
+    numbered blocks."""
+    inside = window_of(track.t, evaluate)
     found = {name: s.where(np.isin(s.t, track.t[inside])) for name, s in found.items()}
     found = {name: s for name, s in found.items() if len(s.t)}
     scores = _scores(states, found, inside)
@@ -190,7 +197,11 @@ def score_of(
     ends = at_the_end({name: s for name, s in found.items() if name in constants})
     last = np.arange(len(track.t)) == np.flatnonzero(inside)[-1]
     static = _scores(constants, ends, last)
-    of_statics = mean_nees(*joint(ends.values(), track, track.statics.layout))
+    # Families at that epoch only: their joint covariances are large.
+    end = track.at(np.isin(track.t, [s.t for s in ends.values()]) if ends else last)
+    families, off = family_scores(end, truth)
+    static |= _scores(families, off, np.ones(1, dtype=np.bool_))
+    of_statics = mean_nees(*joint([*ends.values(), *off.values()], end, track.statics.layout))
     return Score(track.name, track.kind, scores, *anees, static, *of_statics)
 
 
@@ -201,11 +212,15 @@ def _scores(
 ) -> dict[str, StateScore]:
     """Scores of states from their errors, of those without from sigma at epochs `chosen` (N,)."""
     return {
-        name: _state_score(found[name])
-        if name in found
-        else StateScore(state.block.table_unit, _sigma(state.block, state.P[chosen]))
+        name: _state_score(found[name]) if name in found else _sigma_alone(state, chosen)
         for name, state in states.items()
     }
+
+
+def _sigma_alone(state: StateEstimates, chosen: NDArray[np.bool_]) -> StateScore:
+    count = len(state.members)
+    sigma = _sigma(state.block, state.P[chosen], max(count, 1))
+    return StateScore(state.block.table_unit, sigma, count=count or None)
 
 
 def improvement(a: Score, b: Score, state: str) -> float | None:
@@ -266,7 +281,8 @@ def step_ms(step_s: Array | None) -> dict[str, dict[str, float | None]]:
 def _state_row(s: StateScore) -> dict[str, Any]:
     names = ("rmse", "rmse_last", "sigma", "anees", "anees_band", "inside_3sigma")
     known = names if len(s.t) else ("sigma",)
-    return {"unit": s.unit} | {name: getattr(s, name) for name in known}
+    count = {} if s.count is None else {"count": s.count}
+    return {"unit": s.unit} | count | {name: getattr(s, name) for name in known}
 
 
 def _statics(s: Score) -> dict[str, Any]:
@@ -283,7 +299,11 @@ def _statics(s: Score) -> dict[str, Any]:
 
 
 def _row(
-    track: Track, s: Score, distance: float | None, cautions: Iterable[Caution]
+    track: Track,
+    s: Score,
+    laid: Mapping[str, Any],
+    distance: float | None,
+    cautions: Iterable[Caution],
 ) -> dict[str, Any]:
     return {
         "kind": track.kind,
@@ -299,6 +319,7 @@ def _row(
         "downweighted": {sensor: int(n) for sensor, n in track.downweighted.items()},
         "states": {name: _state_row(state) for name, state in s.states.items()},
         **_statics(s),
+        **({"aligned": laid} if laid else {}),
     }
 
 
@@ -339,6 +360,7 @@ def summary(
             name: _row(
                 track,
                 score(track, track.truth or truth, derived, evaluate),
+                aligned(track, track.truth or truth, derived, window_of(track.t, evaluate)),
                 apart[name],
                 own[name],
             )

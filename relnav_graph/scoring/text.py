@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["study_table", "table"]
+__all__ = ["ALIGNMENT", "explain_table", "study_table", "table"]
 
 
 def _text(value: float | None, form: str = ".4g") -> str:
@@ -85,6 +85,7 @@ def table(summary: Mapping[str, Any]) -> str:
         header = "estimator |kind     |     rmse|rmse last|  1-sigma|   ANEES|inside 3-sigma"
         lines += ["", _with_unit(state, unit), *_aligned(header, block)]
     lines += _constants(rows, "constants, as at the last epoch", ("error", "1-sigma"))
+    lines += _aligned_maps(rows)
     return "\n".join(lines) + "\n"
 
 
@@ -128,9 +129,10 @@ def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> l
     """
     having = {name: row for name, row in rows.items() if "statics" in row}
     units = {n: one["unit"] for row in having.values() for n, one in row["statics"].items()}
+    counts = {n: one.get("count") for row in having.values() for n, one in row["statics"].items()}
     parts = [
         (
-            _with_unit(n, unit),
+            _with_unit(n if counts[n] is None else f"{n}, {counts[n]:g} of them", unit),
             {r: row["statics"][n] for r, row in having.items() if n in row["statics"]},
         )
         for n, unit in units.items()
@@ -149,6 +151,36 @@ def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> l
     numbers = "|".join(f"{c:>9}" for c in (*columns, "ANEES"))
     header = f"constant |estimator |kind     |{numbers}|95 % band"
     return ["", title, *_aligned(header, table)] if table else []
+
+
+#: Numbers of an alignment, and how the table calls them.
+ALIGNMENT = {
+    "rotation_deg": "turn of the map [deg]",
+    "shift_m": "shift of the map [m]",
+    "map_rmse_m": "map, rmse [m]",
+    "map_max_m": "map, largest error [m]",
+    "scale": "scale of the map",
+    "scale_error": "error of the scale, rms",
+}
+
+
+def _aligned_maps(rows: Mapping[str, Any]) -> list[str]:
+    """Lines of errors after the alignment of each estimator's map; [] without any."""
+    having = {name: row["aligned"] for name, row in rows.items() if "aligned" in row}
+    if not having:
+        return []
+    table = [
+        [title, *(_text(one.get(key)) for one in having.values())]
+        for key, title in ALIGNMENT.items()
+        if any(key in one for one in having.values())
+    ]
+    for state, unit in {
+        n: s["unit"] for o in having.values() for n, s in o["states"].items()
+    }.items():
+        found = (one["states"].get(state, {}).get("rmse") for one in having.values())
+        table.append([f"{_with_unit(state, unit)}, rmse", *map(_text, found)])
+    title = "after one rigid alignment of each map, as at the last epoch, to the true one"
+    return ["", title, *_aligned("error |" + "|".join(f"{n:>9}" for n in having), table)]
 
 
 def _study_overview(name: str, row: Mapping[str, Any]) -> list[str]:
@@ -201,6 +233,7 @@ def study_table(summary: Mapping[str, Any]) -> str:
         lines += ["", _with_unit(state, unit), *_aligned(_STUDY_STATE, block)]
     columns = ("rmse", "1-sigma", "bound", "rmse/bound")
     lines += _constants(rows, "constants, as at the last epoch", columns)
+    lines += _aligned_maps(rows)
     lines += ["", "Verdict", *(f"  {text}" for text in summary["verdict"]["text"])]
     for title, key in (("Failed runs", "failed"), ("Degraded runs", "degraded")):
         if summary[key]:

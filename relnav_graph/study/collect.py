@@ -47,10 +47,12 @@ class RowRuns:
     Lists have one number per run, NaN where the run has none: own (of the row as a whole:
     "anees", "cost"), timing (by what was timed), state (by state and key, such as "rmse"),
     static (of static blocks at the last epoch, by block and key; "" stands for all jointly),
+    aligned (of what the alignment of the map leaves, by state and key; "" stands for the map),
     sensor (of innovations, by sensor and key), squares (of whitened residuals, by noise).
     Sums over runs, for means: series (states + 1, 3, bins), nis (sensors, bins), coupling
-    (noises, noises). freedoms: degrees of freedom of one run, by state, and "joint"; bad:
-    run, status and message where the status is not ok; rejected: observations, by sensor.
+    (noises, noises). static_units: of static blocks and aligned states; freedoms: degrees of
+    freedom of one run, by state, and "joint"; bad: run, status and message where the status is not
+    ok; rejected: observations, by sensor.
     """
 
     kind: Kind = "filtered"
@@ -62,6 +64,8 @@ class RowRuns:
     timing: dict[str, list[float]] = field(default_factory=dict)
     state: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     static: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    static_units: dict[str, str] = field(default_factory=dict)
+    aligned: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sensor: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     series: _Sum = field(default_factory=_Sum)
     nis: _Sum = field(default_factory=_Sum)
@@ -134,10 +138,19 @@ def _add_row(row: RowRuns, scalars: Mapping[str, Any], run: int, before: int) ->
             if key not in ("unit", "freedoms"):
                 _put(row.state, (name, key), value, before)
     statics = scalars.get("statics", {})
+    row.static_units |= {name: values["unit"] for name, values in statics.items()}
     for name, values in {**statics, "": scalars.get("statics_joint", {})}.items():
         for key, value in values.items():
             if key != "unit":
                 _put(row.static, (name, key), value, before)
+    laid = scalars.get("aligned") or {}
+    states = laid.get("states", {})
+    row.static_units |= {name: values["unit"] for name, values in states.items()}
+    for key, value in laid.items():
+        if key != "states":
+            _put(row.aligned, ("", key), value, before)
+    for name, values in states.items():
+        _put(row.aligned, (name, "rmse"), values["rmse"], before)
     for sensor, values in scalars["innovations"].items():
         for key, value in values.items():
             _put(row.sensor, (sensor, key), value, before)
@@ -184,7 +197,8 @@ def _pad(found: Collected) -> None:
     """Fill every column up with NaN, so that all have one number per run."""
     tables: list[dict[Any, list[float]]] = [found.bound, found.own_bound, found.mcreynolds]
     for row in found.rows.values():
-        tables += [row.own, row.timing, row.state, row.static, row.sensor, row.squares]
+        tables += [row.own, row.timing, row.state, row.static, row.aligned]
+        tables += [row.sensor, row.squares]
     for table in tables:
         for column in table.values():
             column += [np.nan] * (len(found.runs) - len(column))

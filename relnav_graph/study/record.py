@@ -23,6 +23,7 @@ from relnav_graph.core.track import Innovations, Track
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.memory import check_room
 from relnav_graph.runs.comparison import Estimated
+from relnav_graph.scoring.alignment import aligned
 from relnav_graph.scoring.bounds import bounds, true_trajectory
 from relnav_graph.scoring.deviations import (
     StateErrors,
@@ -32,7 +33,14 @@ from relnav_graph.scoring.deviations import (
     joint,
     nees,
 )
-from relnav_graph.scoring.metrics import Score, StateScore, score_of, step_ms, with_smoothed
+from relnav_graph.scoring.metrics import (
+    Score,
+    StateScore,
+    score_of,
+    step_ms,
+    window_of,
+    with_smoothed,
+)
 from relnav_graph.scoring.variance_components import noise_residuals
 from relnav_graph.study.stored import check_record
 
@@ -122,7 +130,7 @@ def _statics_scalars(score: Score, bound: Mapping[str, StateScore]) -> dict[str,
     """Of the static blocks at the last epoch, bound: their bounds there; {} without any."""
     if not score.statics:
         return {}
-    keys = ("unit", "sigma", "rmse", "anees", "freedoms")
+    keys = ("unit", "sigma", "rmse", "anees", "freedoms", "count")
     statics = {
         name: {key: getattr(s, key) for key in keys}
         | {"bound": bound[name].sigma if name in bound else None}
@@ -130,6 +138,16 @@ def _statics_scalars(score: Score, bound: Mapping[str, StateScore]) -> dict[str,
     }
     joint_of = {"anees": score.statics_anees, "freedoms": score.statics_freedoms}
     return {"statics": statics, "statics_joint": joint_of}
+
+
+def _aligned_scalars(found: Mapping[str, Any]) -> dict[str, Any]:
+    """What the alignment of a map leaves, see `relnav_graph.scoring.alignment.aligned`; {} without
+    one. scale_error: of the alignment with a scale, scale - 1."""
+    if not found:
+        return {}
+    keys = ("rotation_deg", "shift_m", "map_rmse_m", "map_max_m")
+    numbers = {key: found[key] for key in keys} | {"scale_error": found["scale"] - 1}
+    return {"aligned": numbers | {"states": found["states"]}}
 
 
 def _innovation_scalars(i: Innovations) -> dict[str, float]:
@@ -159,7 +177,7 @@ def _mcreynolds(
         s = smoothed.get(name)
         if s is None or f.block != s.block:
             continue
-        d = f.block.local(f.value, s.value)
+        d = f.to(s.value)
         variance = np.diagonal(f.P - s.P, axis1=1, axis2=2)
         # Where smoothing gains nothing the ratio is one of rounding errors.
         tested = variance > 1e-6 * np.diagonal(f.P, axis1=1, axis2=2)
@@ -219,9 +237,10 @@ def _row_scalars(
     score: Score,
     bound: Mapping[str, StateEstimates],
     constants: Mapping[str, StateScore],
+    laid: Mapping[str, Any],
 ) -> dict[str, Any]:
     """bound: estimates whose covariances are the bounds; constants: scores of static blocks
-    whose sigmas are."""
+    whose sigmas are; laid: after the alignment of the map."""
     track = row.track
     settled = {
         name: _settled(row.found[name], bound.get(name)) if name in row.found else None
@@ -237,6 +256,7 @@ def _row_scalars(
         "states": {n: _state_scalars(n, score, settled[n]) for n in score.states},
         "innovations": {n: _innovation_scalars(i) for n, i in track.innovations.items()},
         **_statics_scalars(score, constants),
+        **_aligned_scalars(laid),
     }
 
 
@@ -302,12 +322,13 @@ def make_record(
             states = estimates(track, derived)
             errors = {} if truth is None else deviations(states, track.t, truth, derived)
             row = rows[name] = _Row(track, states, errors)
-            score = score_of(track, states, errors, evaluate)
+            score = score_of(track, states, errors, evaluate, truth)
+            laid = aligned(track, truth, derived, window_of(track.t, evaluate))
             kind = "filtered" if track.kind == "filtered" else "smoothed"
             own = {} if limits is None else limits.states[kind]
             # A fixed-lag estimate lies between both bounds, and has none of its own.
             constants = {} if limits is None else limits.statics.get(track.kind, {})
-            scalars["rows"][name] = _row_scalars(row, score, own, constants)
+            scalars["rows"][name] = _row_scalars(row, score, own, constants, laid)
             if limits is not None and len(passes) > 1:
                 scalars["rows"][name]["bound"] = limits.sigmas.get(track.kind, {})
             scalars["timing"][name] = {"runtime_s": track.runtime_s, **step_ms(track.step_s)}

@@ -52,6 +52,31 @@ class _Static:
     anees: Number
     freedoms: Count
     bound: Number
+    count: Count | None = None
+
+
+@dataclass(frozen=True)
+class _AlignedState:
+    """Error of a state after the alignment of the map."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    unit: str
+    rmse: Number
+
+
+@dataclass(frozen=True)
+class _Aligned:
+    """What the alignment of a map leaves."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    rotation_deg: Number
+    shift_m: Number
+    map_rmse_m: Number
+    map_max_m: Number
+    scale_error: Number
+    states: dict[str, _AlignedState]
 
 
 @dataclass(frozen=True)
@@ -77,6 +102,7 @@ class _Row:
     bound: Numbers = field(default_factory=dict)
     statics: dict[str, _Static] = field(default_factory=dict)
     statics_joint: _Joint = field(default_factory=_Joint)
+    aligned: _Aligned | None = None
 
 
 @dataclass(frozen=True)
@@ -141,10 +167,6 @@ def check_record(where: str, text: bytes, series: Mapping[str, Array]) -> dict[s
     for name, count in coupled.items():
         if name in series and series[name].shape != (count, count):
             raise InputError(f"{where}: damaged: {name}: found {series[name].shape}, of {count}")
-    for name, row in found.rows.items():
-        unknown = [block for block in row.statics if block not in row.states]
-        if unknown:
-            raise InputError(f"{where}: damaged: rows.{name}: statics: {unknown[0]!r} is no state")
     for name, size in _sizes(found).items():
         if name not in series:
             raise InputError(f"{where}: damaged: no series {name!r}")

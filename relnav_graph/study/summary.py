@@ -124,8 +124,10 @@ def _statics(name: str, row: RowRuns, seed: int) -> dict[str, Any]:
     for block in row.statics:
         rmse, bound = row.of_static(block, "rmse"), row.of_static(block, "bound")
         total, limit = _root_mean_square(rmse), _root_mean_square(bound[np.isfinite(rmse)])
+        count = row.of_static(block, "count")
         blocks[block] = {
-            "unit": row.units[block],
+            "unit": row.static_units[block],
+            **({"count": _number(_mean(count))} if np.isfinite(count).any() else {}),
             "rmse": _number(total),
             "rmse_ci": intervals.get((name, block)),
             "sigma": _number(_root_mean_square(row.of_static(block, "sigma"))),
@@ -134,6 +136,22 @@ def _statics(name: str, row: RowRuns, seed: int) -> dict[str, Any]:
             **_anees_of(row, block, ""),
         }
     return {"statics": blocks, **_anees_of(row, "", "statics_")}
+
+
+def _aligned(row: RowRuns) -> dict[str, Any]:
+    """What the alignment of each run's map leaves, root mean squares over runs (of the largest
+    error: the largest); {} without a map."""
+    if not row.aligned:
+        return {}
+    found: dict[str, Any] = {"states": {}}
+    for (state, key), column in row.aligned.items():
+        values = np.array(column)
+        over = np.nanmax(values, initial=0) if key == "map_max_m" else _root_mean_square(values)
+        if state:
+            found["states"][state] = {"unit": row.static_units[state], key: _number(over)}
+        else:
+            found[key] = _number(over)
+    return {"aligned": found}
 
 
 def _anees_of(row: RowRuns, block: str, prefix: str) -> dict[str, Any]:
@@ -202,6 +220,7 @@ def _row(
         "rejected": row.rejected,
         "states": {s: _state(row, s, bound[s], intervals.get((name, s))) for s in row.units},
         **_statics(name, row, seed),
+        **_aligned(row),
         "sensors": {s: _sensor(row, s) for s in dict.fromkeys(s for s, _ in row.sensor)},
     }
 

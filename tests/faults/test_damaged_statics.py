@@ -85,8 +85,8 @@ def test_row_34_a_record_with_damaged_statics_is_named(tmp_path: Path) -> None:
     assert set(record.scalars["rows"]["iekf"]["statics"]) == {"range_drift"}
     for change, words in (
         (
-            {"other": record.scalars["rows"]["iekf"]["statics"]["range_drift"]},
-            "'other' is no state",
+            {"other": {**record.scalars["rows"]["iekf"]["statics"]["range_drift"], "unit": 3}},
+            "rows.iekf.statics.other.unit",
         ),
         ({"range_drift": {"unit": "m"}}, "rows.iekf.statics.range_drift.sigma"),
         ({"range_drift": 3}, "rows.iekf.statics.range_drift"),

@@ -15,6 +15,7 @@ from draws import PLACES, draw_block, draw_blocks
 from example_kinds import DerivedExample, DynamicsExample, Example, SensorExample, with_variants
 from relnav_factors.derived import relative_pose
 from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios, InertiaRatios
+from relnav_factors.derived.principal_axes import PrincipalAxes, PrincipalRatios
 from relnav_factors.dynamics.accelerometer_bias import AccelerometerBias
 from relnav_factors.dynamics.body_velocity import BodyVelocity
 from relnav_factors.dynamics.earth_sensor_bias import EarthSensorBias
@@ -382,6 +383,8 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "inertia_matrix_ratios": (DerivedExample(InertiaMatrixRatios()),),
     "inertia_ratios": (DerivedExample(InertiaRatios()),),
     "position_in_target": (DerivedExample(relative_pose.PositionInTarget()),),
+    "principal_axes": (DerivedExample(PrincipalAxes()),),
+    "principal_ratios": (DerivedExample(PrincipalRatios()),),
     "relative_attitude": (DerivedExample(relative_pose.RelativeAttitude()),),
     "target_rate_in_chaser": (DerivedExample(relative_pose.TargetRateInChaser()),),
 }
