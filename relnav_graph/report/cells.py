@@ -206,9 +206,8 @@ def aligned(summary: Mapping[str, Any]) -> Table | None:
         for key, title in ALIGNMENT.items()
         if any(key in one for one in rows.values())
     ]
-    for state, unit in {
-        n: s["unit"] for r in rows.values() for n, s in r["states"].items()
-    }.items():
+    units = {n: s["unit"] for one in rows.values() for n, s in one["states"].items()}
+    for state, unit in units.items():
         found = [one["states"].get(state, {}).get("rmse") for one in rows.values()]
         body.append([Cell(_unit(state, unit), "strong"), *(Cell(number(v)) for v in found)])
     return Table(["error", *rows], body)

@@ -184,11 +184,19 @@ def _scene_caption(scene: Scene) -> str:
         if scene.true
         else f"The 3-sigma ellipsoids of {' and '.join(scene.rows)} are {times(scene.error_scale)}."
     )
+    points = ""
+    if scene.map_scale is not None:
+        row = scene.rows[-1]
+        points = (
+            f" The coloured bodies on the target are its points as {row} finds them at the end,"
+            f" with errors and 3-sigma ellipsoids {times(scene.map_scale)}; dots are the true"
+            " points, where they are known."
+        )
     return (
         f"Frame {scene.frame}. {target} is {times(scene.target_scale)};"
         " red, green and blue are its axes x, y, z, from the origin. The square is the chaser."
-        f" {errors} Ellipsoids of the first tenth of the pass are left out. Drag to turn, scroll"
-        " to zoom; the slider moves time."
+        f" {errors}{points} Ellipsoids of the first tenth of the pass are left out. Drag to turn,"
+        " scroll to zoom; the slider moves time."
     )
 
 

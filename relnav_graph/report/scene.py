@@ -12,11 +12,17 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.core.catalogue import RELATIVE_POSITION, RELATIVE_POSITION_T, TARGET_ATTITUDE
+from relnav_graph.core.catalogue import (
+    POINT,
+    RELATIVE_POSITION,
+    RELATIVE_POSITION_T,
+    TARGET_ATTITUDE,
+)
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.figures import row_styles
 from relnav_graph.report.contents import PassContents
 from relnav_graph.scoring.deviations import StateEstimates, estimates, finite
+from relnav_graph.scoring.maps import family_scores, known_points
 from relnav_graph.scoring.metrics import with_smoothed
 
 __all__ = ["Scene", "make_scene"]
@@ -27,6 +33,9 @@ _POINTS, _ELLIPSOIDS, _FRAMES = 600, 14, 60
 _TRANSIENT = 0.1
 #: Sizes of target and largest ellipsoid as fractions of the view; they are enlarged up to them.
 _TARGET_PART, _ELLIPSOID_PART = 0.12, 0.07
+#: Size of the middle one of the ellipsoids of a map, as a fraction of the target, and the most
+#: vertices of all of them: they are in every frame.
+_POINT_PART, _VERTICES = 0.08, 1600
 #: Half the edge of the box drawn for a target of which no point is known, m.
 _HALF_EDGE = 0.5
 _AXES = ("#D55E00", "#009E73", "#0072B2")
@@ -38,7 +47,8 @@ class Scene:
 
     frame: letter of the frame; turning: whether the target turns in it; true: whether the path
     and attitude are the truth; target_scale, error_scale: factors by which target and errors
-    are enlarged; rows: the tracks shown.
+    are enlarged; rows: the tracks shown; map_scale: factor by which errors of the target's points
+    are, where they are estimated.
     """
 
     figure: Mapping[str, Any]
@@ -48,6 +58,7 @@ class Scene:
     target_scale: float
     error_scale: float
     rows: Sequence[str]
+    map_scale: float | None = None
 
 
 def _nice(scale: float) -> float:
@@ -73,13 +84,54 @@ def _rows(content: PassContents) -> dict[str, StateEstimates]:
     return dict(chosen.values())
 
 
-def _points(content: PassContents) -> Array | None:
-    """Points of the target (n, 3) that a sensor knows, m, in t."""
+def _points(content: PassContents, row: str) -> Array | None:
+    """Points of the target (n, 3), m, in t: that a sensor knows, or truth, or a row estimates."""
+    own = family_scores(with_smoothed(content.tracks)[row].at(slice(-1, None)), None)[0]
+    if POINT.name in own:
+        true = known_points(content.truth)
+        X: Array = own[POINT.name].value.reshape(-1, 3)
+        return np.array(list(true.values())) if true else X if finite(X).all() else None
     for sensor in content.scenario.sensors.values():
         points = getattr(sensor, "points", None)
         if isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] == 3:
             return points
     return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Cloud:
+    """Ellipsoids of an estimated map in t: vertices (m, 3), m, faces (n, 3), and their colour."""
+
+    vertices: Array
+    faces: Indices
+    colour: str
+    scale: float
+
+
+def _cloud(content: PassContents, row: str, target_scale: float, reach: float) -> _Cloud | None:
+    """The points that a row estimates with their 3-sigma, errors enlarged beyond the target so far
+    that the middle one of the ellipsoids is a part of `reach`, m; None without any."""
+    rows = with_smoothed(content.tracks)
+    states, errors = family_scores(rows[row].at(slice(-1, None)), content.truth)
+    state = states.get(POINT.name)
+    if state is None or not finite(state.value, state.P).all():
+        return None
+    e, P = np.zeros(state.value.size), state.P[0]
+    if POINT.name in errors:
+        known = [b.name for b in errors[POINT.name].members]
+        at = [b.name in known for b in state.members]
+        e[np.repeat(at, 3)] = errors[POINT.name].e[0]
+    X, off = state.value[0].reshape(-1, 3), e.reshape(-1, 3)
+    each = np.array([P[k : k + 3, k : k + 3] for k in range(0, len(P), 3)])
+    usual = 3 * float(np.median(np.sqrt(np.linalg.eigvalsh(each)[:, -1])))
+    scale = _nice(_POINT_PART * reach / usual) if usual > 0 else 1.0
+    scale = max(scale, target_scale)
+    centres = target_scale * (X + off) - scale * off
+    n = next((n for n in (8, 6, 5, 4) if 2 * n * n * len(X) <= _VERTICES), 3)
+    mesh = _ellipsoids(centres, each, scale, n)
+    vertices, faces = (np.column_stack([mesh[c] for c in names]) for names in ("xyz", "ijk"))
+    kinds = {name: track.kind for name, track in rows.items()}
+    return _Cloud(vertices, faces, row_styles(kinds)[row]["color"], scale)
 
 
 def _known(content: PassContents, name: str) -> Array | None:
@@ -117,12 +169,15 @@ def _xyz(points: Array) -> dict[str, Array]:
     return dict(zip("xyz", np.ascontiguousarray(points.T), strict=True))
 
 
-def _target(R: Array, box: Array, points: Array | None, reach: float) -> list[dict[str, Array]]:
+def _target(
+    R: Array, box: Array, points: Array | None, cloud: _Cloud | None, reach: float
+) -> list[dict[str, Array]]:
     """Coordinates, m, of the parts that turn with R = R_ot (3, 3): box (8, 3) and points (n, 3)
-    in t, and the axes of t, of length `reach`."""
+    in t, the axes of t, of length `reach`, and the ellipsoids of points."""
     shown = points if points is not None else np.zeros((0, 3))
     axes = [np.vstack([np.zeros(3), reach * e]) for e in np.eye(3)]
-    return [_xyz(part @ R.T) for part in (box, shown, *axes)]
+    ellipsoids = [] if cloud is None else [cloud.vertices]
+    return [_xyz(part @ R.T) for part in (box, shown, *axes, *ellipsoids)]
 
 
 def _sphere(n: int = 10) -> tuple[Array, Indices]:
@@ -135,9 +190,10 @@ def _sphere(n: int = 10) -> tuple[Array, Indices]:
     return grid.reshape(-1, 3), faces
 
 
-def _ellipsoids(centres: Array, P: Array, scale: float) -> dict[str, Any]:
-    """One mesh of the ellipsoids |P^-1/2 d| = 3 `scale` about centres (k, 3); P (k, 3, 3), SI."""
-    sphere, faces = _sphere()
+def _ellipsoids(centres: Array, P: Array, scale: float, n: int = 10) -> dict[str, Any]:
+    """One mesh of the ellipsoids |P^-1/2 d| = 3 `scale` about centres (k, 3); P (k, 3, 3), SI; each
+    of n parallels."""
+    sphere, faces = _sphere(n)
     w, V = np.linalg.eigh(P)
     half = V * (3 * scale * np.sqrt(np.maximum(w, 0)))[:, None, :]
     vertices = centres[:, None, :] + np.einsum("mj,kij->kmi", sphere, half)
@@ -172,7 +228,7 @@ def make_scene(content: PassContents) -> Scene | None:
     true = _known(content, block.name)
     path = rows[last].value if true is None else true
     R = _attitude(content, last) if block == RELATIVE_POSITION else None
-    points = _points(content)
+    points = _points(content, last)
     box = _box(points)
     if block == RELATIVE_POSITION_T or R is None:
         R = np.broadcast_to(np.eye(3), (len(path), 3, 3))
@@ -184,7 +240,9 @@ def make_scene(content: PassContents) -> Scene | None:
     k = np.linspace(_TRANSIENT * (len(path) - 1), len(path) - 1, _ELLIPSOIDS).round().astype(int)
     widest = max(3 * np.sqrt(np.linalg.eigvalsh(s.P[k]).max()) for s in rows.values())
     error_scale = _nice(_ELLIPSOID_PART * 2 * half / widest) if widest > 0 else 1.0
-    moving = (R, target_scale * box, None if points is None else target_scale * points)
+    reach = target_scale * float(np.ptp(box, axis=0).max())
+    cloud = _cloud(content, last, target_scale, reach)
+    moving = (R, target_scale * box, None if points is None else target_scale * points, cloud)
     t = content.tracks[0].t
     data, frames = _moving(t, path, *moving)
     data += _paths(content, rows, path, true is not None, error_scale, np.unique(k))
@@ -197,11 +255,12 @@ def make_scene(content: PassContents) -> Scene | None:
         target_scale,
         error_scale,
         list(rows),
+        None if cloud is None else cloud.scale,
     )
 
 
 def _moving(
-    t: Array, path: Array, R: Array, box: Array, points: Array | None
+    t: Array, path: Array, R: Array, box: Array, points: Array | None, cloud: _Cloud | None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Traces of what moves, at the first epoch, and their coordinates over time."""
     reach = 0.8 * float(np.ptp(box, axis=0).max())
@@ -214,18 +273,24 @@ def _moving(
         {"type": "mesh3d", **ijk, **grey, **quiet},
         {"type": "scatter3d", **dots, **quiet},
         *({**line, "line": {"color": c, "width": 5}} for c in _AXES),
+        *([] if cloud is None else [_look(cloud) | quiet]),
         {"type": "scatter3d", "mode": "markers", "name": "chaser", "hoverinfo": "name",
          "marker": {"size": 5, "color": "black", "symbol": "square"}},
     ]  # fmt: skip
     moments = np.unique(np.linspace(0, len(path) - 1, _FRAMES).round().astype(int))
     kinds, frames = [look["type"] for look in looks], list[dict[str, Any]]()
     for m in moments.tolist():
-        parts = [*_target(R[m], box, points, reach), _xyz(path[m : m + 1])]
+        parts = [*_target(R[m], box, points, cloud, reach), _xyz(path[m : m + 1])]
         data = [{"type": kind, **part} for kind, part in zip(kinds, parts, strict=True)]
         name = f"{t[m]:.6g}"
         frames.append({"name": name, "data": data, "traces": list(range(len(data)))})
     first = frames[0]["data"]
     return [look | part for look, part in zip(looks, first, strict=True)], frames
+
+
+def _look(cloud: _Cloud) -> dict[str, Any]:
+    ijk = dict(zip("ijk", np.ascontiguousarray(cloud.faces.T), strict=True))
+    return {"type": "mesh3d", **ijk, "color": cloud.colour, "opacity": 0.6}
 
 
 def _paths(

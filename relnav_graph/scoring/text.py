@@ -174,9 +174,8 @@ def _aligned_maps(rows: Mapping[str, Any]) -> list[str]:
         for key, title in ALIGNMENT.items()
         if any(key in one for one in having.values())
     ]
-    for state, unit in {
-        n: s["unit"] for o in having.values() for n, s in o["states"].items()
-    }.items():
+    units = {n: s["unit"] for one in having.values() for n, s in one["states"].items()}
+    for state, unit in units.items():
         found = (one["states"].get(state, {}).get("rmse") for one in having.values())
         table.append([f"{_with_unit(state, unit)}, rmse", *map(_text, found)])
     title = "after one rigid alignment of each map, as at the last epoch, to the true one"
