@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import process_inputs, stamped
-from relnav_graph.core.measurement import SAME_TIME, Bridge, InputSeries, Measurement
+from relnav_graph.core.measurement import (
+    SAME_TIME,
+    Bridge,
+    InputSeries,
+    Measurement,
+    edge_tolerance,
+)
 from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.streaming.lines import InputSample
@@ -56,22 +62,24 @@ class InputBuffer:
             for other in self.samples[k : k + 1]
         )
 
-    def reach(self, t: float) -> float:
-        """The time, s, up to which samples cover [t, ...] without a gap; t when none covers it."""
-        for sample in self._from(t):
-            if sample.t_start > t + SAME_TIME:
+    def reach(self, t0: float, t1: float) -> float:
+        """The time, s, up to which samples tell of [t0, t1] without a gap; t0 when none does."""
+        t = t0
+        for k in range(self._first(t0, t1), len(self.samples)):
+            if self.samples[k].t_start > t + SAME_TIME:
                 break
-            t = max(t, sample.t_end)
+            t = max(t, self.samples[k].t_end)
         return t
 
-    def _from(self, t: float) -> Iterator[InputSample]:
-        k = bisect.bisect_right(self.samples, t + SAME_TIME, key=lambda s: s.t_end)
-        return (self.samples[i] for i in range(k, len(self.samples)))
+    def _first(self, t0: float, t1: float) -> int:
+        """Number of the first sample that tells of [t0, t1], s, or of what comes after."""
+        end = t0 + edge_tolerance(t0, t1)
+        return bisect.bisect_right(self.samples, end, key=lambda s: s.t_end)
 
     def series(self, t0: float, t1: float, beside: bool = False) -> InputSeries:
         """The samples that touch [t0, t1], s; and those before and after them."""
-        k = bisect.bisect_right(self.samples, t0 + SAME_TIME, key=lambda s: s.t_end)
-        j = bisect.bisect_left(self.samples, t1 - SAME_TIME, key=lambda s: s.t_start)
+        k, end = self._first(t0, t1), t1 - edge_tolerance(t0, t1)
+        j = bisect.bisect_left(self.samples, end, key=lambda s: s.t_start)
         chosen = self.samples[max(k - 1, 0) : j + 1] if beside else self.samples[k:j]
         values = np.array([s.values for s in chosen]).reshape(len(chosen), self.channels)
         edges = np.array([(s.t_start, s.t_end) for s in chosen]).reshape(-1, 2)
@@ -79,8 +87,8 @@ class InputBuffer:
 
     def held(self, t0: float, t1: float) -> InputSeries:
         """The samples of [t0, t1], s; where they end before t1, the newest one is held to t1."""
-        end = self.reach(t0)
-        if end >= t1 - SAME_TIME or not self.samples:
+        end = self.reach(t0, t1)
+        if end >= t1 - edge_tolerance(t0, t1) or not self.samples:
             return self.series(t0, t1)
         past = [s for s in self.samples if s.t_start < end + SAME_TIME]
         values = (past or self.samples)[-1].values
@@ -104,8 +112,8 @@ class Inputs(dict[str, InputBuffer]):
     def lacking(self, now: float, t: float) -> str:
         """A message naming an input that does not cover `now` to t, s; "" when all do."""
         for name, buffer in self.items():
-            reach = buffer.reach(now)
-            if reach < t - SAME_TIME:
+            reach = buffer.reach(now, t)
+            if reach < t - edge_tolerance(now, t):
                 return f"no inputs: {name} reaches {reach} s only"
         return ""
 
