@@ -21,7 +21,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.streaming.lines import InputSample
 
-__all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
+__all__ = ["Gap", "InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
 
 #: Samples of one input, and observations, that are kept until they become an epoch: memory stays
 #: flat, whatever comes.
@@ -85,6 +85,11 @@ class InputBuffer:
         edges = np.array([(s.t_start, s.t_end) for s in chosen]).reshape(-1, 2)
         return InputSeries(self.name, edges[:, 0], edges[:, 1], values)
 
+    def resumed(self, t0: float, t1: float) -> bool:
+        """Whether a sample tells of the end of [t0, t1], s, whatever is missing before it."""
+        last = self.series(t0, t1).t_end[-1:]
+        return bool(last.size and last[0] >= t1 - edge_tolerance(t0, t1))
+
     def held(self, t0: float, t1: float) -> InputSeries:
         """The samples of [t0, t1], s; where they end before t1, the newest one is held to t1."""
         end = self.reach(t0, t1)
@@ -106,6 +111,21 @@ class InputBuffer:
         del self.samples[: max(gone - 1, 0)]
 
 
+@dataclass(frozen=True)
+class Gap:
+    """What is missing of an input, from start to end, s; long: of a gap that is longer than its
+    bridge, and over."""
+
+    name: str
+    start: float
+    end: float
+    long: bool
+
+
+def _endless(bridge: Bridge) -> Bridge:
+    return replace(bridge, longest=np.inf)
+
+
 class Inputs(dict[str, InputBuffer]):
     """All inputs, by name."""
 
@@ -117,13 +137,20 @@ class Inputs(dict[str, InputBuffer]):
                 return f"no inputs: {name} reaches {reach} s only"
         return ""
 
-    def gaps(
-        self, bridges: Mapping[str, Bridge], now: float, t: float
-    ) -> list[tuple[str, float, float]]:
-        """Gaps between `now` and t, s: of which input, from when to when, s. Raises InputError on
-        one that is not to be bridged."""
-        found = self._series(bridges, now, t).items()
-        return [(name, a, b) for name, series in found for a, b in series.gaps(now, t)]
+    def gaps(self, bridges: Mapping[str, Bridge], now: float, t: float) -> list[Gap]:
+        """Gaps between `now` and t, s. Raises InputError on one that is not to be bridged: longer
+        than its bridge, unless it is over at t, or of an input of which nobody says how far it may
+        have gone."""
+        found = []
+        for name, series in self._series(bridges, now, t).items():
+            try:
+                parts, long = series.gaps(now, t), False
+            except InputError:
+                if series.bridge is None or not self[name].resumed(now, t):
+                    raise
+                parts, long = replace(series, bridge=_endless(series.bridge)).gaps(now, t), True
+            found += [Gap(name, start, end, long) for start, end in parts]
+        return found
 
     def _series(
         self, bridges: Mapping[str, Bridge], now: float, t: float
@@ -137,12 +164,14 @@ class Inputs(dict[str, InputBuffer]):
         """Inputs of each process from `now` to t, s, by name: u (rows, 1 + channels).
 
         Each row: length of the sub-interval, s, then the inputs, SI, and their spreads where a gap
-        is bridged, as the problem says. hold: the newest sample goes on beyond its end, without.
+        is bridged, as the problem says, however long: `gaps` says which may be. hold: the newest
+        sample goes on beyond its end, without.
         """
         if hold:
             series = {name: buffer.held(now, t) for name, buffer in self.items()}
         else:
-            series = self._series(problem.bridges, now, t)
+            endless = {name: _endless(bridge) for name, bridge in problem.bridges.items()}
+            series = self._series(endless, now, t)
         processes = problem.processes
         return {name: process_inputs(p, series, now, t) for name, p in processes.items()}
 

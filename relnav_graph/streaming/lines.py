@@ -40,6 +40,12 @@ A stream has one *clock*: that of the header's `t`, or else of the first line ta
 - Each of these jumps is said at once, by a line out that is DEGRADED (LOST before the first
   estimate): once for each sensor or input, until a line of it is taken in again.
 
+Epochs that the inputs do not reach wait for them, and where they have not come for as long as the
+window (or 30 s), the gap is bridged as the scenario's [gaps] say; an epoch in a longer one is
+refused, and its line LOST. What the inputs reach again after it is estimated from the last estimate
+before, their last means held and spread over all that is missing: DEGRADED as long as the window,
+and with the caution "begun again" in all lines from there on.
+
 Out goes a line for each epoch, and for each one that a late measurement improves:
 
 ::

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gyro_gaps import EPOCHS, SEED, lines_of_gap, scenario_of
 from passes import ZHANG, relnav
 from streams import changed, feed, lines_of, session_of
 
@@ -19,19 +20,11 @@ from relnav_graph.core.measurement import Bridge, InputSeries, Measurement
 from relnav_graph.core.packing import split
 from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
-from relnav_graph.estimators import run_estimator
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.runs.comparison import compare
-from relnav_graph.scenario.build import load_scenario
-from relnav_graph.scenario.scenario import Scenario
 
 KINDS = ("batch", "rts", "ekf", "iekf", "incremental", "fixed_lag")
-EPOCHS, SEED = 20, 7
 SPREAD = np.radians(0.1)
-
-
-def scenario_of(*settings: str) -> Scenario:
-    return load_scenario(ZHANG, [f"time.epochs={EPOCHS}", f"seed={SEED}", *settings])
 
 
 @pytest.fixture(scope="module", name="recording")
@@ -82,15 +75,6 @@ def test_row_45_a_gap_is_bridged_by_every_estimator(recording: Recording, gone: 
     marked = [line["t"] for line in out if "gap" in str(line["rejected"])]
     assert marked == [10.0 * (k + 1) for k in gone]
     assert all(line["status"] != "OK" for line in out if line["t"] in marked)
-
-
-def lines_of_gap(gone: Sequence[int]) -> list[str]:
-    starts = [10.0 * k for k in gone]
-    return [
-        changed(line)
-        for line in lines_of(scenario_of(), SEED)
-        if json.loads(line).get("t_start") not in starts
-    ]
 
 
 def test_row_45_the_covariance_grows_by_what_is_said(recording: Recording) -> None:
@@ -310,60 +294,3 @@ def test_row_12_merge_of_zero_means_equal_stamps_only(recording: Recording) -> N
     same = halves(recording, 0.0)
     problem = scenario.problem(replace(recording, measurements=same), SEED)
     assert len(problem.epochs) == EPOCHS
-
-
-def test_row_12_online_epochs_close_together_are_those_of_offline(recording: Recording) -> None:
-    """Half a microsecond apart, with `merge = 0`: their inputs are those that tell of the time
-    between, and what one sensor sees of one id in both are two measurements."""
-    scenario = scenario_of("time.merge=0")
-    two = list(recording.measurements)
-    two += [replace(m, t=m.t + 5e-7, z=m.z[::-1], ids=m.ids[::-1]) for m in two]
-    two.sort(key=lambda m: m.t)
-    g = recording.inputs["gyro"]
-    beyond = InputSeries(
-        "gyro",
-        np.append(g.t_start, g.t_end[-1]),
-        np.append(g.t_end, g.t_end[-1] + 10),
-        np.vstack([g.values, g.values[:1]]),
-    )
-    times = np.array([m.t for m in two])
-    both = replace(recording, measurements=tuple(two), times=times, inputs={"gyro": beyond})
-    problem = scenario.problem(both, SEED)
-    lines = lines_of(scenario_of(), SEED)
-    inputs = [
-        json.dumps({"input": "gyro", "t_start": a, "t_end": b, "values": v.tolist()})
-        for a, b, v in zip(beyond.t_start, beyond.t_end, beyond.values, strict=True)
-    ]
-    own = [
-        json.dumps({"sensor": m.sensor, "t": m.t, "id": m.ids.tolist(), "z": m.z.tolist()})
-        for m in two
-    ]
-    # Each sample comes after what was measured at its end.
-    order = own[:2]
-    for k, sample in enumerate(inputs):
-        order += [*own[2 * k + 2 : 2 * k + 3], sample, *own[2 * k + 3 : 2 * k + 4]]
-    session = session_of(scenario, lines[0], "ekf")
-    out = feed(session, [lines[0], *order])
-    assert session.rejected == {}
-    assert [line["t"] for line in out] == [m.t for m in two]
-    for found, expected in zip(session.online.epochs, problem.epochs[-30:], strict=True):
-        assert found.t == expected.t
-        for name, u in expected.inputs.items():
-            np.testing.assert_array_equal(found.inputs[name], u)
-    x = run_estimator("ekf", problem).x[-1]
-    np.testing.assert_allclose(session.online.x, x, rtol=1e-9, atol=1e-12)
-
-
-def test_row_12_a_repeat_within_merge_is_a_duplicate(recording: Recording) -> None:
-    scenario = scenario_of('time.merge="1 ms"')
-    lines = lines_of(scenario_of(), SEED)
-    again = [k for k, line in enumerate(lines) if json.loads(line).get("t") == 50.0]
-    other = changed(lines[again[0]], t=50.0004)
-    session = session_of(scenario, lines[0], "ekf")
-    plain = session_of(scenario, lines[0], "ekf")
-    moved = json.loads(other)
-    moved["z"] = [[-v for v in row] for row in moved["z"]]
-    feed(session, [*lines[: again[0] + 6], other, json.dumps(moved), *lines[again[0] + 6 :]])
-    feed(plain, lines)
-    assert set(session.rejected["beacons"]) == {"duplicate", "second value"}
-    np.testing.assert_array_equal(session.online.x, plain.online.x)
