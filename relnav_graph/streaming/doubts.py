@@ -30,12 +30,18 @@ class Doubts:
         self._of_pass: tuple[Caution, ...] = ()
         self._gap = -np.inf, ""  # end of the last gap, s, and what is said of it
         self._again = ""
+        self._looked: tuple[Caution, ...] = ()  # of the pass as it is at the newest estimate
 
     @property
     def cautions(self) -> tuple[Caution, ...]:
         """Of all lines from now on."""
         again = (Caution(BEGUN_AGAIN, self._again),) if self._again else ()
-        return self._of_pass + again
+        return (*self._of_pass, *again, *self._looked)
+
+    def look(self, found: tuple[Caution, ...]) -> bool:
+        """Note what a second look at the whole has found; whether that is anything."""
+        self._looked = found
+        return bool(found)
 
     def begin(self, t: float | None) -> None:
         """Note the time of a line out, s: the first one tells which cautions the pass has."""
@@ -57,7 +63,8 @@ class Doubts:
         return f"gap: {what}; {how}"
 
     def judge(self, t: float, status: str, message: str) -> tuple[str, str]:
-        """Status and message of an estimate at t, s, with what is known against it."""
+        """Status and message of a new estimate at t, s, with what is known against it."""
+        self._looked = ()
         if status == "OK" and t <= self._gap[0] + self._patience:
             status, message = "DEGRADED", self._gap[1]
         if self.prior:
@@ -72,6 +79,7 @@ class Doubts:
             "begun_at": self._begun_at,
             "gap": self._gap,
             "again": self._again,
+            "looked": [vars(c) for c in self._looked],
         }
 
     def load(self, saved: Mapping[str, Any]) -> None:
@@ -80,3 +88,4 @@ class Doubts:
         self.begin(saved["begun_at"])
         end, said = saved["gap"]
         self._gap, self._again = (end, said), saved["again"]
+        self._looked = tuple(Caution(**c) for c in saved["looked"])

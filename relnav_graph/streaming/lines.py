@@ -63,7 +63,10 @@ Out goes a line for each epoch, and for each one that a late measurement improve
 - `rejected`: what was not used since the line before, and why; `id` null for all of a line,
   `sensor` null for a line that names none.
 - `cautions`: what leaves the status as it is, and must be known all the same, as
-  {"name": ..., "text": ...}; the key is there only where there is any.
+  {"name": ..., "text": ...}; the key is there only where there is any. At the end, an estimator
+  that holds the whole pass (incremental, isam2) and is OK takes a second look at it
+  (`relnav_graph.estimators.second_look`), about as long as two or three batch estimates of all
+  epochs; what it finds is in a last line, "the end of the stream".
 - All times out are of the pass's clock: where the scenario has a [time] origin, that is taken
   off all times in, `t` of the header too.
 - `latency_ms`: computing time, from the last line in that it needed to this line.

@@ -152,7 +152,8 @@ class Session:
         out = self._advance(everything=True, ended=True)
         if self._beginning is not None and self._beginning.epochs:
             out += self._begun()
-        if self._refusals.notes:
+        looked = self.status == "OK" and self._doubts.look(self.online.second_look())
+        if self._refusals.notes or looked:
             out.append(self._line(self.online.t, self.status, "the end of the stream", None))
         return out
 
