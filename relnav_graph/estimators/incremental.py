@@ -21,6 +21,7 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
@@ -28,7 +29,7 @@ from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
 from relnav_graph.estimators.gauss_newton import Solution, solve, solve_gated
 from relnav_graph.estimators.parts import in_order
-from relnav_graph.estimators.second_look import conclude
+from relnav_graph.estimators.second_look import conclude, second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
 from relnav_graph.estimators.trust import gave_up
 from relnav_graph.linear.assembly import Assembly
@@ -42,6 +43,8 @@ __all__ = ["Incremental", "IncrementalSmoother"]
 RATIO = 1.3
 #: Epochs taken in one by one, at most, before they are relinearised among themselves.
 WINDOW = 100
+#: Length of the last step, in sigmas over all states together, of the whole in the end.
+CONVERGED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +195,7 @@ class IncrementalSmoother:
 
     def finish(self) -> tuple[Assembly, Solution]:
         """Relinearise once more, to convergence: the whole trajectory, smoothed."""
-        self.state, assembly, solution = self._relinearized(self.state, 1e-3)
+        self.state, assembly, solution = self._relinearized(self.state, CONVERGED)
         return assembly, solution
 
     # --- as an engine of `relnav_graph.estimators.online.driver`
@@ -220,6 +223,12 @@ class IncrementalSmoother:
     def load(self, arrays: Mapping[str, Array]) -> SmootherState:
         """The state before the first epoch; `arrays` is empty."""
         return self.begin()
+
+    def second_look(self, state: SmootherState) -> tuple[Caution, ...]:
+        """A second look at the whole, smoothed to convergence first; the state stays."""
+        _, assembly, solution = self._relinearized(state, CONVERGED)
+        marginals = solution.conditionals.marginals()
+        return second_look(assembly, self.problem.prior, solution, marginals)
 
 
 @dataclass(frozen=True)

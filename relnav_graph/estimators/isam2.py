@@ -292,6 +292,13 @@ class ISAM2Smoother:
         x, cost = self.keys.trajectory(values, state.count), whole.factors.error(values)
         return _End(track, assembly, x, whole.weights, cost, distance)
 
+    def second_look(self, state: TreeState) -> tuple[Caution, ...]:
+        """A second look at the whole, smoothed to convergence first; none with what a user has
+        added, of which the chain knows nothing."""
+        if state.waiting or any(part.pieces for part in state.parts()):
+            return ()
+        return _second_look(self.problem, self.finish(state))
+
 
 @dataclass(frozen=True, eq=False)
 class _End:

@@ -184,7 +184,7 @@ class GapSettings(BaseModel):
     is integrated of it. `spread`, in the unit of the input, is one number or one for each of its
     channels; by default 0.1 deg/s for rates, 0.01 m/s^2 for accelerations, 0.1 m/s for
     velocities; an input of another unit is bridged only where it is given. A longer gap is an
-    error."""
+    error; a stream begins again after it."""
 
     model_config = _STRICT
 

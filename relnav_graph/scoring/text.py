@@ -222,6 +222,7 @@ def study_table(summary: Mapping[str, Any]) -> str:
     header = "estimator |kind |status |runs|run time s|ANEES|95 % band"
     lines = [f"{title}, seed {seed}", ""]
     lines += _aligned(header, [_study_overview(name, row) for name, row in rows.items()])
+    lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
     width = max(map(len, ["estimator", *rows]))
     for state, unit in _moving(rows).items():
         block = [

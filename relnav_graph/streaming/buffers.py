@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import process_inputs, stamped
-from relnav_graph.core.measurement import SAME_TIME, Bridge, InputSeries, Measurement
+from relnav_graph.core.measurement import (
+    SAME_TIME,
+    Bridge,
+    InputSeries,
+    Measurement,
+    edge_tolerance,
+)
 from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.streaming.lines import InputSample
 
-__all__ = ["InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
+__all__ = ["Gap", "InputBuffer", "Inputs", "Waiting", "WaitingEpoch"]
 
 #: Samples of one input, and observations, that are kept until they become an epoch: memory stays
 #: flat, whatever comes.
@@ -56,31 +62,38 @@ class InputBuffer:
             for other in self.samples[k : k + 1]
         )
 
-    def reach(self, t: float) -> float:
-        """The time, s, up to which samples cover [t, ...] without a gap; t when none covers it."""
-        for sample in self._from(t):
-            if sample.t_start > t + SAME_TIME:
+    def reach(self, t0: float, t1: float) -> float:
+        """The time, s, up to which samples tell of [t0, t1] without a gap; t0 when none does."""
+        t = t0
+        for k in range(self._first(t0, t1), len(self.samples)):
+            if self.samples[k].t_start > t + SAME_TIME:
                 break
-            t = max(t, sample.t_end)
+            t = max(t, self.samples[k].t_end)
         return t
 
-    def _from(self, t: float) -> Iterator[InputSample]:
-        k = bisect.bisect_right(self.samples, t + SAME_TIME, key=lambda s: s.t_end)
-        return (self.samples[i] for i in range(k, len(self.samples)))
+    def _first(self, t0: float, t1: float) -> int:
+        """Number of the first sample that tells of [t0, t1], s, or of what comes after."""
+        end = t0 + edge_tolerance(t0, t1)
+        return bisect.bisect_right(self.samples, end, key=lambda s: s.t_end)
 
     def series(self, t0: float, t1: float, beside: bool = False) -> InputSeries:
         """The samples that touch [t0, t1], s; and those before and after them."""
-        k = bisect.bisect_right(self.samples, t0 + SAME_TIME, key=lambda s: s.t_end)
-        j = bisect.bisect_left(self.samples, t1 - SAME_TIME, key=lambda s: s.t_start)
+        k, end = self._first(t0, t1), t1 - edge_tolerance(t0, t1)
+        j = bisect.bisect_left(self.samples, end, key=lambda s: s.t_start)
         chosen = self.samples[max(k - 1, 0) : j + 1] if beside else self.samples[k:j]
         values = np.array([s.values for s in chosen]).reshape(len(chosen), self.channels)
         edges = np.array([(s.t_start, s.t_end) for s in chosen]).reshape(-1, 2)
         return InputSeries(self.name, edges[:, 0], edges[:, 1], values)
 
+    def resumed(self, t0: float, t1: float) -> bool:
+        """Whether a sample tells of the end of [t0, t1], s, whatever is missing before it."""
+        last = self.series(t0, t1).t_end[-1:]
+        return bool(last.size and last[0] >= t1 - edge_tolerance(t0, t1))
+
     def held(self, t0: float, t1: float) -> InputSeries:
         """The samples of [t0, t1], s; where they end before t1, the newest one is held to t1."""
-        end = self.reach(t0)
-        if end >= t1 - SAME_TIME or not self.samples:
+        end = self.reach(t0, t1)
+        if end >= t1 - edge_tolerance(t0, t1) or not self.samples:
             return self.series(t0, t1)
         past = [s for s in self.samples if s.t_start < end + SAME_TIME]
         values = (past or self.samples)[-1].values
@@ -98,24 +111,46 @@ class InputBuffer:
         del self.samples[: max(gone - 1, 0)]
 
 
+@dataclass(frozen=True)
+class Gap:
+    """What is missing of an input, from start to end, s; long: of a gap that is longer than its
+    bridge, and over."""
+
+    name: str
+    start: float
+    end: float
+    long: bool
+
+
+def _endless(bridge: Bridge) -> Bridge:
+    return replace(bridge, longest=np.inf)
+
+
 class Inputs(dict[str, InputBuffer]):
     """All inputs, by name."""
 
     def lacking(self, now: float, t: float) -> str:
         """A message naming an input that does not cover `now` to t, s; "" when all do."""
         for name, buffer in self.items():
-            reach = buffer.reach(now)
-            if reach < t - SAME_TIME:
+            reach = buffer.reach(now, t)
+            if reach < t - edge_tolerance(now, t):
                 return f"no inputs: {name} reaches {reach} s only"
         return ""
 
-    def gaps(
-        self, bridges: Mapping[str, Bridge], now: float, t: float
-    ) -> list[tuple[str, float, float]]:
-        """Gaps between `now` and t, s: of which input, from when to when, s. Raises InputError on
-        one that is not to be bridged."""
-        found = self._series(bridges, now, t).items()
-        return [(name, a, b) for name, series in found for a, b in series.gaps(now, t)]
+    def gaps(self, bridges: Mapping[str, Bridge], now: float, t: float) -> list[Gap]:
+        """Gaps between `now` and t, s. Raises InputError on one that is not to be bridged: longer
+        than its bridge, unless it is over at t, or of an input of which nobody says how far it may
+        have gone."""
+        found = []
+        for name, series in self._series(bridges, now, t).items():
+            try:
+                parts, long = series.gaps(now, t), False
+            except InputError:
+                if series.bridge is None or not self[name].resumed(now, t):
+                    raise
+                parts, long = replace(series, bridge=_endless(series.bridge)).gaps(now, t), True
+            found += [Gap(name, start, end, long) for start, end in parts]
+        return found
 
     def _series(
         self, bridges: Mapping[str, Bridge], now: float, t: float
@@ -129,12 +164,14 @@ class Inputs(dict[str, InputBuffer]):
         """Inputs of each process from `now` to t, s, by name: u (rows, 1 + channels).
 
         Each row: length of the sub-interval, s, then the inputs, SI, and their spreads where a gap
-        is bridged, as the problem says. hold: the newest sample goes on beyond its end, without.
+        is bridged, as the problem says, however long: `gaps` says which may be. hold: the newest
+        sample goes on beyond its end, without.
         """
         if hold:
             series = {name: buffer.held(now, t) for name, buffer in self.items()}
         else:
-            series = self._series(problem.bridges, now, t)
+            endless = {name: _endless(bridge) for name, bridge in problem.bridges.items()}
+            series = self._series(endless, now, t)
         processes = problem.processes
         return {name: process_inputs(p, series, now, t) for name, p in processes.items()}
 

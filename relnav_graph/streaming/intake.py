@@ -52,7 +52,7 @@ class Intake:
         self.clock = Clock((*sensors, *columns, TICK), max_gap, patience)
         self.inputs = Inputs({name: InputBuffer(name, len(c)) for name, c in columns.items()})
         self.waiting = Waiting(merge)
-        self._begin = begin
+        self._begin, self._merge = begin, merge
         if begin is not None:
             self.clock.heard = begin
             self.waiting.add(begin, begin)
@@ -99,19 +99,19 @@ class Intake:
     def _measured(self, m: Measurement, epochs: Sequence[Epoch]) -> list[Measurement]:
         """What its sensor has measured at its time, as far as it is still there."""
         found = list(self.waiting.measured(m.t))
-        if epochs and m.t <= epochs[-1].t + SAME_TIME:
-            found += [o for e in epochs if abs(e.t - m.t) <= SAME_TIME for o in e.measurements]
+        if epochs and m.t <= epochs[-1].t + self._merge:
+            found += [o for e in epochs if abs(e.t - m.t) <= self._merge for o in e.measurements]
         return [other for other in found if other.sensor == m.sensor]
 
     def _check_late(self, item: Item, t: float, epochs: Sequence[Epoch], now: float | None) -> None:
-        if self._begin is not None and t < self._begin - SAME_TIME:
+        if self._begin is not None and t < self._begin - self._merge:
             raise InputError(f"late: before the prior, which is of {self._begin} s")
         if now is None:
             return
         if isinstance(item, InputSample):
             if t <= now + SAME_TIME:
                 raise InputError(f"late: an input of a time before the newest epoch, {now} s")
-        elif t < epochs[0].t - SAME_TIME:
+        elif t < epochs[0].t - self._merge:
             raise InputError(f"late: before the window, which begins at {epochs[0].t} s")
 
 

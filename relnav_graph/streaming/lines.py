@@ -40,6 +40,12 @@ A stream has one *clock*: that of the header's `t`, or else of the first line ta
 - Each of these jumps is said at once, by a line out that is DEGRADED (LOST before the first
   estimate): once for each sensor or input, until a line of it is taken in again.
 
+Epochs that the inputs do not reach wait for them, and where they have not come for as long as the
+window (or 30 s), the gap is bridged as the scenario's [gaps] say; an epoch in a longer one is
+refused, and its line LOST. What the inputs reach again after it is estimated from the last estimate
+before, their last means held and spread over all that is missing: DEGRADED as long as the window,
+and with the caution "begun again" in all lines from there on.
+
 Out goes a line for each epoch, and for each one that a late measurement improves:
 
 ::
@@ -57,7 +63,10 @@ Out goes a line for each epoch, and for each one that a late measurement improve
 - `rejected`: what was not used since the line before, and why; `id` null for all of a line,
   `sensor` null for a line that names none.
 - `cautions`: what leaves the status as it is, and must be known all the same, as
-  {"name": ..., "text": ...}; the key is there only where there is any.
+  {"name": ..., "text": ...}; the key is there only where there is any. At the end, an estimator
+  that holds the whole pass (incremental, isam2) and is OK takes a second look at it
+  (`relnav_graph.estimators.second_look`), about as long as two or three batch estimates of all
+  epochs; what it finds is in a last line, "the end of the stream".
 - All times out are of the pass's clock: where the scenario has a [time] origin, that is taken
   off all times in, `t` of the header too.
 - `latency_ms`: computing time, from the last line in that it needed to this line.

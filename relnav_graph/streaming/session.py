@@ -29,6 +29,7 @@ from relnav_graph.estimators.online.driver import Estimate, Online
 from relnav_graph.streaming import saved
 from relnav_graph.streaming.beginning import Beginning
 from relnav_graph.streaming.buffers import WaitingEpoch
+from relnav_graph.streaming.doubts import Doubts
 from relnav_graph.streaming.intake import Intake, Item, name_of, times_of
 from relnav_graph.streaming.lines import (
     Header,
@@ -80,11 +81,13 @@ class Session:
         self._derived = derived_quantities(problem.layout)
         self._last = -1  # number `n` of the last line that was taken in
         self._fits: set[str] = set()  # sensors whose unit was checked and is right
-        self._bridged = -np.inf  # end of the last gap in the inputs that was bridged
+        self._doubts = Doubts(problem, self._patience)
         self._beginning = Beginning(problem, measured) if measured else None
-        self._doubt = ""  # of the prior that was measured
-        self._begun_at: float | None = None  # time of the first line out
-        self.cautions: tuple[Caution, ...] = ()
+
+    @property
+    def cautions(self) -> tuple[Caution, ...]:
+        """What leaves the status as it is, and must be known all the same."""
+        return self._doubts.cautions
 
     @property
     def rejected(self) -> dict[str, dict[str, int]]:
@@ -149,7 +152,8 @@ class Session:
         out = self._advance(everything=True, ended=True)
         if self._beginning is not None and self._beginning.epochs:
             out += self._begun()
-        if self._refusals.notes:
+        looked = self.status == "OK" and self._doubts.look(self.online.second_look())
+        if self._refusals.notes or looked:
             out.append(self._line(self.online.t, self.status, "the end of the stream", None))
         return out
 
@@ -219,9 +223,8 @@ class Session:
             gaps = self._inputs.gaps(self.problem.bridges, now, t)
         except InputError as error:
             return f"no inputs: {error}"
-        for name, start, end in gaps:
-            self._bridged = max(self._bridged, end)
-            self._reject(name, end, None, f"gap: nothing from {start} s to {end} s; bridged")
+        for gap in gaps:
+            self._reject(gap.name, gap.end, None, self._doubts.bridged(gap, now))
         return ""
 
     def _since(self, now: float, t: float, hold: bool = False) -> dict[str, Array]:
@@ -242,7 +245,7 @@ class Session:
     def _begun(self) -> list[LineOut]:
         """Make the prior from the epochs that were held back, and estimate them from it."""
         assert self._beginning is not None
-        held, (prior, self._doubt) = self._beginning.epochs, self._beginning.prior()
+        held, (prior, self._doubts.prior) = self._beginning.epochs, self._beginning.prior()
         self._beginning, self.online = None, self.online.from_prior(prior)
         self.problem = self.online.problem
         out = list[LineOut]()
@@ -285,18 +288,8 @@ class Session:
 
     # --- lines out -----------------------------------------------------------------------
 
-    def _begin_at(self, t: float | None) -> None:
-        """Note the time of the first line out, s."""
-        self._begun_at = t
-        self.cautions = () if t is None else self.problem.cautions_from(t)
-
     def _found(self, found: Estimate) -> LineOut:
-        status, message = found.status, found.message
-        if status == "OK" and found.t <= self._bridged + self._patience:
-            status, message = "DEGRADED", f"the inputs had a gap until {self._bridged} s"
-        if self._doubt:
-            status = "DEGRADED" if status == "OK" else status
-            message = "; ".join(filter(None, [message, self._doubt]))
+        status, message = self._doubts.judge(found.t, found.status, found.message)
         return self._line(found.t, status, message, (found.x, found.P))
 
     def _without(self, t: float, reason: str) -> LineOut:
@@ -318,8 +311,7 @@ class Session:
         self, t: float | None, status: str, message: str, found: tuple[Array, Array] | None
     ) -> LineOut:
         self.status = status
-        if self._begun_at is None:
-            self._begin_at(t)
+        self._doubts.begin(t)
         line: LineOut = {"seq": self.seq, "t": t, "status": status, "message": message}
         if self.cautions:
             line["cautions"] = [vars(c) for c in self.cautions]
@@ -359,9 +351,7 @@ class Session:
             "last": self._last,
             "notes": self._refusals.notes,
             "fits": sorted(self._fits),
-            "bridged": self._bridged,
-            "doubt": self._doubt,
-            "begun_at": self._begun_at,
+            "doubts": self._doubts.save(),
             "inputs": {name: saved.samples(b.samples) for name, b in self._inputs.items()},
             "waiting": saved.waiting(self._waiting.epochs),
         }
@@ -380,14 +370,13 @@ class Session:
         elif self._beginning is not None:
             self.online = self.online.from_prior(Prior(first["x"], first["P"]))
             self._beginning, self.problem = None, self.online.problem
-        self._doubt = own["doubt"]
-        self._begin_at(own["begun_at"])
+        self._doubts.load(own["doubts"])
         self.online.restore(arrays)
         self._refusals.counts, self._refusals.notes = own["rejected"], own["notes"]
         self.seq, self.status, self._last = own["seq"], own["status"], own["last"]
         self.lines, self.refused = own["lines"], own["refused"]
         self._clock.load(own["clock"])
-        self._fits, self._bridged = set(own["fits"]), own["bridged"]
+        self._fits = set(own["fits"])
         for name, samples in own["inputs"].items():
             self._inputs[name].samples = saved.samples_in(samples)
         self._waiting.epochs = saved.waiting_in(own["waiting"])

@@ -97,7 +97,8 @@ class Collected:
     runs: their numbers; failed: number and reason of those without a result; bound: 1-sigma
     of the lower bound by kind and state, one number per run; own_bound: by row and state,
     where each estimator flies a pass of its own; bound_series: by kind, as `RowRuns.series`;
-    mcreynolds: by filtered row, smoothed row, state and key, one number per run.
+    mcreynolds: by filtered row, smoothed row, state and key, one number per run; cautions: the
+    runs that have one, by row ("": of the pass itself) and name.
     """
 
     runs: list[int] = field(default_factory=list)
@@ -107,6 +108,7 @@ class Collected:
     own_bound: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     bound_series: dict[str, _Sum] = field(default_factory=dict)
     mcreynolds: dict[tuple[str, str, str, str], list[float]] = field(default_factory=dict)
+    cautions: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
 
 def _number(value: Any) -> float:
@@ -181,6 +183,9 @@ def _add(found: Collected, record: RunRecord) -> None:
             row.coupling.add(record.series[f"coupling {name}"])
         for state, value in values.get("bound", {}).items():
             _put(found.own_bound, (name, state), value, before)
+    for name, cautions in scalars.get("cautions", {}).items():
+        for caution in cautions:
+            found.cautions.setdefault((name, caution), []).append(run)
     for kind, states in scalars["bound"].items():
         for state, value in states.items():
             _put(found.bound, (kind, state), value, before)

@@ -23,6 +23,7 @@ from relnav_graph.core.track import Innovations, Track
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.memory import check_room
 from relnav_graph.runs.comparison import Estimated
+from relnav_graph.scoring.agreement import distances, row_cautions
 from relnav_graph.scoring.alignment import aligned
 from relnav_graph.scoring.bounds import bounds, true_trajectory
 from relnav_graph.scoring.deviations import (
@@ -60,7 +61,8 @@ class RunRecord:
 
     Series: ``ROW`` (states + 1, 3, bins), see `SERIES`; ``nis ROW`` (sensors, bins); ``bound
     KIND`` (states + 1, 3, bins); ``coupling ROW`` (noises, noises). Scalars: ``rows``,
-    ``bound``, ``noise``, ``timing``, ``mcreynolds``, each by row or kind; or ``failed``.
+    ``bound``, ``noise``, ``timing``, ``cautions``, ``mcreynolds``, each by row or kind; or
+    ``failed``.
     """
 
     scalars: Mapping[str, Any]
@@ -303,7 +305,8 @@ def make_record(
     no control moves, share them. rng: for what is estimated by random probes. Raises
     InputError where truth and tracks do not fit together.
     """
-    scalars: dict[str, Any] = {"run": run, "rows": {}, "bound": {}, "noise": {}, "timing": {}}
+    parts = ("rows", "bound", "noise", "timing", "cautions")
+    scalars: dict[str, Any] = {"run": run, **{part: {} for part in parts}}
     series: dict[str, Array] = {}
     rows: dict[str, _Row] = {}
     x_before, limits = np.zeros(0), None
@@ -318,7 +321,9 @@ def make_record(
         if limits is not None and not scalars["bound"]:  # figures show those of the first pass
             scalars["bound"] |= limits.sigmas
             series |= {f"bound {kind}": s for kind, s in limits.series.items()}
-        for name, track in with_smoothed(one.tracks).items():
+        tracks = with_smoothed(one.tracks)
+        scalars["cautions"] |= _cautions(problem, tracks)
+        for name, track in tracks.items():
             states = estimates(track, derived)
             errors = {} if truth is None else deviations(states, track.t, truth, derived)
             row = rows[name] = _Row(track, states, errors)
@@ -343,6 +348,13 @@ def make_record(
         if a.track.kind == "filtered"
     }
     return RunRecord(scalars, series)
+
+
+def _cautions(problem: Problem, tracks: Mapping[str, Track]) -> dict[str, list[str]]:
+    """Names of the cautions of each row that has any, and, as "", of the pass."""
+    rows = {"": problem.cautions} | row_cautions(tracks, *distances(tracks))
+    named = {row: list(dict.fromkeys(c.name for c in found)) for row, found in rows.items()}
+    return {row: names for row, names in named.items() if names}
 
 
 def _pair(a: _Row, b: _Row) -> bool:

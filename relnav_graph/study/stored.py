@@ -124,6 +124,7 @@ class _Done:
     noise: dict[str, _Noise]
     timing: dict[str, dict[str, Number | Numbers]]
     mcreynolds: dict[str, dict[str, dict[str, Numbers]]]
+    cautions: dict[str, list[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -291,6 +291,25 @@ def _bad_runs(found: Collected, rerun: str) -> tuple[list[dict[str, Any]], list[
     return failed, degraded
 
 
+#: Runs with a caution that are listed.
+LISTED = 10
+
+
+def _cautions(found: Collected) -> list[dict[str, Any]]:
+    """How many runs have each caution, by row and name, and which; estimator None: of the pass."""
+    return [
+        {
+            "estimator": row or None,
+            "name": name,
+            "runs": len(runs),
+            "text": f"in {len(runs)} of {len(found.runs)} runs: "
+            + ", ".join(map(str, runs[:LISTED]))
+            + (", ..." if len(runs) > LISTED else ""),
+        }
+        for (row, name), runs in sorted(found.cautions.items())
+    ]
+
+
 def summarize(spec: StudySpec, found: Collected, epochs: int, rerun: str) -> dict[str, Any]:
     """The object of ``relnav study --json``, without its verdict: strict JSON, schema 1.
 
@@ -306,6 +325,7 @@ def summarize(spec: StudySpec, found: Collected, epochs: int, rerun: str) -> dic
         "runs": len(found.runs),
         "failed": failed,
         "degraded": degraded,
+        "cautions": _cautions(found),
         "versions": versions(),
         "estimators": {name: _row(name, found, intervals, spec.seed) for name in found.rows},
         "paired": _paired(found.rows, spec.seed),

@@ -159,6 +159,7 @@ def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) ->
     text += ["Likely cause: " + _cause_text(n, owners) + "." for n in causes]
     if best and causes:
         text.append(_unexplained(best, found.rows[best], summary["estimators"][best], noises))
+    text += _cautioned(summary)
     text.append(_closing(summary, states, sensors, best, causes))
     return {
         "states": states,
@@ -168,6 +169,17 @@ def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) ->
         "causes": [n["noise"] for n in causes],
         "text": [t for t in text if t],
     }
+
+
+def _cautioned(summary: Mapping[str, Any]) -> list[str]:
+    """A sentence for each row that has a caution in some runs."""
+    found: dict[str, list[str]] = {}
+    for c in summary["cautions"]:
+        found.setdefault(c["estimator"] or "The pass", []).append(f"{c['name']} {c['runs']}")
+    return [
+        f"{name}: runs with a caution, of {summary['runs']}: {', '.join(counts)}."
+        for name, counts in found.items()
+    ]
 
 
 def _unexplained(

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gyro_gaps import EPOCHS, SEED, lines_of_gap, scenario_of
 from passes import ZHANG, relnav
 from streams import changed, feed, lines_of, session_of
 
@@ -21,16 +22,9 @@ from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.runs.comparison import compare
-from relnav_graph.scenario.build import load_scenario
-from relnav_graph.scenario.scenario import Scenario
 
 KINDS = ("batch", "rts", "ekf", "iekf", "incremental", "fixed_lag")
-EPOCHS, SEED = 20, 7
 SPREAD = np.radians(0.1)
-
-
-def scenario_of(*settings: str) -> Scenario:
-    return load_scenario(ZHANG, [f"time.epochs={EPOCHS}", f"seed={SEED}", *settings])
 
 
 @pytest.fixture(scope="module", name="recording")
@@ -81,15 +75,6 @@ def test_row_45_a_gap_is_bridged_by_every_estimator(recording: Recording, gone: 
     marked = [line["t"] for line in out if "gap" in str(line["rejected"])]
     assert marked == [10.0 * (k + 1) for k in gone]
     assert all(line["status"] != "OK" for line in out if line["t"] in marked)
-
-
-def lines_of_gap(gone: Sequence[int]) -> list[str]:
-    starts = [10.0 * k for k in gone]
-    return [
-        changed(line)
-        for line in lines_of(scenario_of(), SEED)
-        if json.loads(line).get("t_start") not in starts
-    ]
 
 
 def test_row_45_the_covariance_grows_by_what_is_said(recording: Recording) -> None:

@@ -50,9 +50,8 @@ def _quick(session: Session) -> tuple[Any, ...]:
     return (
         session.online._state,
         session._last,
-        session._bridged,
         len(session._fits),
-        session._doubt,
+        session._doubts.save(),
         clock.heard,
         [(own.newest, own.step) for own in clock._own.values()],
         [(e.t, e.arrival, e.rows) for e in session._waiting.epochs],

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.copies import check_copied, copiers, with_copies
 from relnav_graph.core.epochs import Epoch, stamped
 from relnav_graph.core.measurement import SAME_TIME, Measurement
@@ -31,6 +32,7 @@ from relnav_graph.estimators.online.engine import (
     Engine,
     EngineState,
     Estimate,
+    LooksAgain,
     Refusal,
     TakesExtra,
 )
@@ -44,6 +46,9 @@ from relnav_graph.estimators.online.monitor import (
     caution,
 )
 from relnav_graph.estimators.online.refusals import named, refusals
+from relnav_graph.estimators.online.state import Moment, State
+from relnav_graph.estimators.second_look import SECOND_LOOK
+from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
 
@@ -52,28 +57,6 @@ __all__ = ["Engine", "EngineState", "Estimate", "Online", "Refusal", "online"]
 
 #: Epochs of the window where the problem gives it no length of time.
 DEFAULT_EPOCHS = 30
-
-
-@dataclass(frozen=True, eq=False)
-class _Moment:
-    """Engine and monitor as they were before an epoch, and the epoch."""
-
-    state: Any
-    monitor: Monitor
-    epoch: Epoch
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """All that changes, swapped as one. past: epochs that left the window, newest first, as
-    nested pairs; None for an engine that can be saved without them. added: what the user has put
-    into the graph, each with the time of the newest epoch then."""
-
-    engine: Any
-    monitor: Monitor
-    moments: tuple[_Moment, ...] = ()
-    past: Any = None
-    added: tuple[tuple[float, Any], ...] = ()
 
 
 class Online:
@@ -94,7 +77,7 @@ class Online:
         self._owner: int | None = None
         self._makers = copiers(problem.sensors)
         self._models = Assembly(problem.layout, problem.processes, problem.sensors, [])
-        self._state = _State(self.engine.begin(), Monitor.of(problem.sensors))
+        self._state = State(self.engine.begin(), Monitor.of(problem.sensors))
 
     def from_prior(self, prior: Prior) -> Online:
         """Another one of its kind that begins at a prior."""
@@ -219,7 +202,7 @@ class Online:
         if old.added:
             check_numbers(self.engine, old, start, [epoch.t for epoch, _ in cleaned])
         before = tuple(one for one in old.added if one[0] < moment.epoch.t)
-        state = _State(moment.state, moment.monitor, old.moments[:start], old.past, before)
+        state = State(moment.state, moment.monitor, old.moments[:start], old.past, before)
         found: tuple[Refusal, ...] = ()
         for epoch, _ in cleaned:
             state, more = self._advance(state, epoch)
@@ -246,6 +229,18 @@ class Online:
         """Value and covariance (d, d) of each variable that `add` has brought, by its key."""
         engine = self.engine
         return engine.variables(self._state.engine) if isinstance(engine, TakesExtra) else {}
+
+    def second_look(self) -> tuple[Caution, ...]:
+        """A caution where the whole pass, smoothed, is not as its covariances say: of an estimator
+        that holds it, OK at the newest epoch; else none. Changes nothing; takes one to two times as
+        long as a batch estimate of all epochs so far, after one such estimate."""
+        engine = self.engine
+        if not isinstance(engine, LooksAgain) or self.health()[0] != "OK":
+            return ()
+        try:
+            return engine.second_look(self._state.engine)
+        except UNSOLVED as error:
+            return (Caution(SECOND_LOOK, f"no second look could be taken: {error}"),)
 
     def predict(self, t: float, inputs: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
         """x (size,) and P (n, n) ahead at time t, s; changes nothing.
@@ -302,7 +297,7 @@ class Online:
             raise InputError("restore: expected an estimator that has taken in nothing yet")
         own = under(state, "engine.")
         engine = self.engine.load(own) if own else self._state.engine
-        new = _State(engine, Monitor.of(self.problem.sensors, np.array(state["monitor"])))
+        new = State(engine, Monitor.of(self.problem.sensors, np.array(state["monitor"])))
         extras = extras_in(self.engine, under(state, "extra."))
         new = self._added(new, extras, -np.inf)
         for epoch in unpack(under(state, "epochs.")):
@@ -332,7 +327,7 @@ class Online:
             counts = self.counts[sensor]
             counts[reason] = counts.get(reason, 0) + n
 
-    def _added(self, s: _State, extras: Sequence[tuple[float, Any]], t: float) -> _State:
+    def _added(self, s: State, extras: Sequence[tuple[float, Any]], t: float) -> State:
         """The state with those extras that were added when the newest epoch was at t, s."""
         for extra in (extra for at, extra in extras if at == t):
             engine: Any = self.engine
@@ -351,8 +346,8 @@ class Online:
             raise LateError(f"{where}: has left the window, which begins at {begin} s")
 
     def _advance(
-        self, s: _State, epoch: Epoch, assembly: Assembly | None = None
-    ) -> tuple[_State, tuple[Refusal, ...]]:
+        self, s: State, epoch: Epoch, assembly: Assembly | None = None
+    ) -> tuple[State, tuple[Refusal, ...]]:
         """The state with one more epoch, and what was refused of it."""
         if self._makers:
             check_copied(epoch.measurements, self.problem.sensors, s.monitor.count(USED))
@@ -361,7 +356,7 @@ class Online:
                 assembly = self._assemble(epoch, s.engine.t)
             engine = self.engine.advance(s.engine, epoch, assembly)
         monitor = s.monitor.after(epoch.t, engine.done)
-        moments, past = (*s.moments, _Moment(s.engine, s.monitor, epoch)), s.past
+        moments, past = (*s.moments, Moment(s.engine, s.monitor, epoch)), s.past
         length = self.problem.window
         gone = len(moments) - DEFAULT_EPOCHS
         if length is not None:
@@ -372,9 +367,9 @@ class Online:
                 for m in moments[:gone]:
                     past = (m.epoch, past)
             moments = moments[gone:]
-        return _State(engine, monitor, moments, past, s.added), refusals(epoch.t, engine.done)
+        return State(engine, monitor, moments, past, s.added), refusals(epoch.t, engine.done)
 
-    def _swap(self, state: _State, repeats: Repeats, found: tuple[Refusal, ...]) -> Estimate:
+    def _swap(self, state: State, repeats: Repeats, found: tuple[Refusal, ...]) -> Estimate:
         refused = (*(Refusal(*r, "duplicate") for r in repeats), *found)
         t = state.engine.t
         if t is None:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.estimators.online.monitor import Health
 from relnav_graph.linear.assembly import Assembly
 
-__all__ = ["Engine", "EngineState", "Estimate", "Refusal", "TakesExtra"]
+__all__ = ["Engine", "EngineState", "Estimate", "LooksAgain", "Refusal", "TakesExtra"]
 
 
 class EngineState(Protocol):
@@ -68,6 +69,15 @@ class TakesExtra(Protocol):
 
     def extra(self, arrays: Mapping[str, Array]) -> Any:
         """What the user gave, from the arrays (bytes,) that its `save` made."""
+
+
+@runtime_checkable
+class LooksAgain(Protocol):
+    """What an engine has besides that holds the whole pass."""
+
+    def second_look(self, state: Any) -> tuple[Caution, ...]:
+        """See `relnav_graph.estimators.second_look`: of all epochs of a state, smoothed. Raises
+        EstimationError or GeometryError where there is no smoothed trajectory."""
 
 
 @dataclass(frozen=True)

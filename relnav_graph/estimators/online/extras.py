@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -11,17 +11,9 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.packing import under
 from relnav_graph.errors import InputError
 from relnav_graph.estimators.online.engine import TakesExtra
+from relnav_graph.estimators.online.state import State
 
 __all__ = ["check_numbers", "extras_in", "saved_extras"]
-
-
-class _Driven(Protocol):
-    """A state of the driver: the engine's, and the moments of its window."""
-
-    @property
-    def engine(self) -> Any: ...
-    @property
-    def moments(self) -> Sequence[Any]: ...
 
 
 def saved_extras(added: Sequence[tuple[float, Any]]) -> dict[str, Array]:
@@ -43,7 +35,7 @@ def extras_in(engine: Any, saved: Mapping[str, Array]) -> list[tuple[float, Any]
     return out
 
 
-def check_numbers(engine: Any, state: _Driven, start: int, times: Sequence[float]) -> None:
+def check_numbers(engine: Any, state: State, start: int, times: Sequence[float]) -> None:
     """Raise InputError when late data make an epoch before one that an extra names by number.
 
     start: of the first epoch that is taken in again, among the moments; times: of these, s.

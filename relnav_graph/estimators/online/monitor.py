@@ -18,6 +18,7 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.estimators.trust import TRUSTED
@@ -120,7 +121,8 @@ def caution(problem: Problem, epoch: Epoch, x: Array) -> str:
     """
     found = []
     for name, process in problem.processes.items():
-        if name in epoch.inputs:
+        # Most models say nothing, ever: to take the state apart for them costs more than a warning.
+        if name in epoch.inputs and type(process).caution is not DynamicsModel.caution:
             length = float(epoch.inputs[name][:, 0].sum())
             blocks = process.advances + process.reads
             text = process.caution(length, *(problem.layout.value(x, b.name) for b in blocks))
