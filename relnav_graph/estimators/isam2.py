@@ -117,9 +117,8 @@ class ISAM2Smoother:
         tree.update(factors, values, state.count - 1)
         at = np.concatenate([state.last.x, more.x])
         part = Part(state.last, (), None, np.zeros(0), factors, values, at, ())
-        after = replace(state, x=x, P=P, last=part)
-        self._cache = after, tree
-        return after
+        self._cache = replace(state, x=x, P=P, last=part), tree
+        return self._cache[0]
 
     def save(self, state: TreeState) -> dict[str, Array]:
         """An empty mapping: see `compact`."""
@@ -273,9 +272,8 @@ class ISAM2Smoother:
         assert state.last is not None
         nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
         part = Part(state.last, (), None, np.zeros(0), *nothing, state.last.x, ())
-        after, tree = self._updated(after, state, part, ready)
-        self._cache = after, tree
-        return after
+        self._cache = self._updated(after, state, part, ready)
+        return self._cache[0]
 
     def named(self, state: TreeState) -> int:
         """The largest number of an epoch that a factor of the user's names, -1 for none."""

@@ -36,7 +36,7 @@ from relnav_graph.estimators.online.engine import (
     Refusal,
     TakesExtra,
 )
-from relnav_graph.estimators.online.extras import check_numbers, extras_in
+from relnav_graph.estimators.online.extras import check_numbers, extras_in, saved_extras
 from relnav_graph.estimators.online.monitor import (
     DOWNWEIGHTED,
     REJECTED,
@@ -283,7 +283,8 @@ class Online:
         The oldest state of the window and the epochs since; all epochs for an engine whose
         state cannot be saved. Raises InputError on an extra factor that cannot be saved.
         """
-        return self._state.saved(self.counts)
+        extras = saved_extras(self._state.added)
+        return self._state.saved(self.counts) | {f"extra.{name}": a for name, a in extras.items()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Be what gave `state`: later estimates are the same, bit for bit, on the same

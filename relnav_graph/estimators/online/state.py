@@ -20,7 +20,6 @@ from relnav_graph.errors import InputError
 from relnav_graph.estimators import ServesOnline
 from relnav_graph.estimators.first_sights import turned
 from relnav_graph.estimators.online.engine import Engine, TakesNumbered
-from relnav_graph.estimators.online.extras import saved_extras
 from relnav_graph.estimators.online.monitor import Monitor
 from relnav_graph.linear.assembly import Assembly
 
@@ -126,8 +125,8 @@ class State:
     turned: float = 0.0
 
     def saved(self, counts: Mapping[str, Mapping[str, int]]) -> dict[str, Array]:
-        """As plain arrays by name; counts: of what was refused, by sensor and reason. Raises
-        InputError on an extra factor that cannot be saved."""
+        """As plain arrays by name, but for `added`; counts: of what was refused, by sensor and
+        reason."""
         saved, problem = dict[str, Array](), self.setting.problem
         monitor, epochs = Monitor.of(problem.sensors), [m.epoch for m in self.moments]
         known, turned_by, first = np.zeros((0, 2)), 0.0, self.moments[0] if self.moments else None
@@ -144,7 +143,6 @@ class State:
         out["monitor"] = monitor.table
         if families(problem.sensors):
             out |= {"known": known, "turned": np.array(turned_by)}
-        out |= {f"extra.{name}": array for name, array in saved_extras(self.added).items()}
         for sensor, reasons in counts.items():
             for reason, n in reasons.items():
                 out[f"counts.{reason}.{sensor}"] = np.array(float(n))
