@@ -170,7 +170,7 @@ def _aligned_maps(rows: Mapping[str, Any]) -> list[str]:
     if not having:
         return []
     table = [
-        [title, *(_text(one.get(key)) for one in having.values())]
+        [title, *(_text(one.get(key), ".6g") for one in having.values())]
         for key, title in ALIGNMENT.items()
         if any(key in one for one in having.values())
     ]
