@@ -187,7 +187,8 @@ def make_scenario(
             if section == "sensors":
                 general = {k: own.pop(k) for k in SensorOptions.model_fields if k in own}
                 time = merged.get("time")
-                several = at_keyframes(key, named_mount(own, key), time, problems)
+                simulated = settings is None and "data" not in raw
+                several = at_keyframes(key, named_mount(own, key), time, problems, simulated)
                 try:
                     options |= dict.fromkeys(several, SensorOptions.model_validate(general))
                 except ValidationError as error:
@@ -225,8 +226,13 @@ def make_scenario(
         options |= {key: SensorOptions() for key in sensors if key not in options}
         priors = copy_priors(sensors, layout) | file.prior
         file = file.model_copy(update={"prior": priors})
-        check_prior(layout, file, problems, every)
-        statics = true_statics(every, (file.truth or {}).get("statics", {}), problems)
+        told = (file.truth or {}).get("statics", {})
+        if any(path.startswith("sensors.") for path, _ in problems):
+            # What it would have brought into the state is not known: one error, not one for each.
+            check_prior(layout, file, problems, file.prior)
+        else:
+            check_prior(layout, file, problems, every)
+            statics = true_statics(every, told, problems)
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)
