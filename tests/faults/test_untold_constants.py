@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from passes import EXPERIMENTS
 
 from relnav_graph.errors import InputError
+from relnav_graph.io.closures import keyframes_in
 from relnav_graph.runs.comparison import compare
 from relnav_graph.scenario.build import load_scenario
 
@@ -46,3 +49,14 @@ def test_row_36_a_wrong_mounting_is_one_error(value: str) -> None:
     assert "sensors.camera.mounting: Input should be 'known' or 'estimated'" in text
     assert "unknown block" not in text
     assert "1 error" in text
+
+
+def test_row_12_stamps_of_one_keyframe_may_differ_in_their_last_digits(tmp_path: Path) -> None:
+    """Of one epoch written with different rounding: one keyframe, not two that are too near."""
+    (tmp_path / "loops.csv").write_text(
+        "t_s,t_from_s,id\n"
+        "100,10,0\n110,10.0000004,0\n120,9.9999999,0\n130,20,0\n"  # a microsecond is one time
+    )
+    scenario = {"sensors": {"loops": {"kind": "pose_odometry"}}}
+    found = keyframes_in(tmp_path, scenario)["loops"]["keyframes"]
+    assert found == [9.9999999, 20.0]
