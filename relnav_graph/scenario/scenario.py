@@ -150,7 +150,11 @@ class Scenario:
 
     def with_map(self, truth: Truth) -> Truth:
         """A truth with the points of the map, where there is one, at all its times (N,)."""
-        return truth if self.map is None else with_statics(truth, self.map.values)
+        if self.map is None:
+            return truth
+        # A data set of a simulated pass has them in its truth, too.
+        points = {n: v for n, v in self.map.values.items() if n not in truth.values}
+        return with_statics(truth, points)
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not
