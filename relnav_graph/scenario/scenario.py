@@ -149,12 +149,10 @@ class Scenario:
         return measuring if self.map is None else self.map.given_to(measuring)
 
     def with_map(self, truth: Truth) -> Truth:
-        """A truth with the points of the map, where there is one, at all its times (N,)."""
-        if self.map is None:
-            return truth
-        # A data set of a simulated pass has them in its truth, too.
-        points = {n: v for n, v in self.map.values.items() if n not in truth.values}
-        return with_statics(truth, points)
+        """A truth with the points of the map, where there is one, at all its times (N,); those that
+        it tells itself, as of a data set, stay."""
+        points = {} if self.map is None else self.map.values
+        return with_statics(truth, {n: X for n, X in points.items() if n not in truth.values})
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not
