@@ -17,10 +17,10 @@ from scipy.sparse.linalg import LinearOperator, splu
 from relnav_graph.arrays import Array
 from relnav_graph.estimators.ekf import run_filter
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.linear.assembly import MeasurementRows
 from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.intervals import ProcessRows
+from relnav_graph.linear.rows import MeasurementRows
 
 from .batch import solve_ours
 from .passes import SAME, Pass, seconds

@@ -32,6 +32,7 @@ from relnav_graph.maths.losses import Loss
 __all__ = [
     "Prior",
     "Problem",
+    "padded",
 ]
 
 
@@ -79,7 +80,8 @@ class Problem:
     fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
     gaps in inputs are bridged, by input, where they come online; merge: s, how close to an epoch
     is of it, online, 0 for equal times only; numbered: of each family of numbered blocks that the
-    sensors read, the prior of one of them. Without epochs it is one to be driven online: they
+    sensors read, the prior of one of them; known: those of them that are in the state whether they
+    are measured or not. Without epochs it is one to be driven online: they
     come later. Copies (`relnav_graph.core.copies`) are made at its epochs. The layout ends with the
     numbered blocks that are measured, in order of first sight; a prior that does not tell of just
     these is completed. Raises ModelError when no process advances any block, or two advance one,
@@ -98,6 +100,7 @@ class Problem:
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
     merge: float = SAME_TIME
     numbered: Mapping[str, Prior] = field(default_factory=dict)
+    known: tuple[Block, ...] = ()
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
@@ -111,7 +114,8 @@ class Problem:
                 if sensor not in self.sensors:
                     raise InputError(f"{name}: unknown sensor {sensor!r}")
         object.__setattr__(self, "epochs", copied(self.epochs, self.sensors, self.merge))
-        seen = first_seen(self.sensors, (m for e in self.epochs for m in e.measurements))
+        measured = first_seen(self.sensors, (m for e in self.epochs for m in e.measurements))
+        seen = tuple(dict.fromkeys((*self.known, *measured)))
         layout = layout_of(self.processes, self.sensors)
         object.__setattr__(self, "layout", Layout(layout.moving, (*layout.statics, *seen)))
         self._check_numbered()
@@ -191,6 +195,13 @@ def completed(
         np.concatenate([prior.x[: layout.size], *(one.x for one in own)]),
         block_diag(known, *(one.P for one in own)),
     )
+
+
+def padded(prior: Prior, x: Array, P: Array) -> tuple[Array, Array]:
+    """A state x (s,) and covariance P (n, n) of the first blocks of a prior, with the prior's of
+    the blocks after these, which it correlates with nothing: (size,), (dim, dim)."""
+    n = len(P)
+    return np.concatenate([x, prior.x[len(x) :]]), block_diag(P, prior.P[n:, n:])
 
 
 def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> None:

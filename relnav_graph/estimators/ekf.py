@@ -12,7 +12,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.problem import Problem
+from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Innovations, Status, Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.first_sights import first_epochs, first_sights
@@ -277,6 +277,11 @@ class KalmanEngine:
         before = FilterState(state.t, state.x, state.P)
         done = filter_step(self.problem, self.iterations, before, epoch, assembly)
         return KalmanState(*done.end, done)
+
+    def grown(self, state: KalmanState, before: KalmanEngine) -> KalmanState:
+        """The state of an engine whose problem has fewer numbered blocks."""
+        x, P = padded(self.problem.prior, state.x, state.P)
+        return KalmanState(state.t, x, P, state.done)
 
     def save(self, state: KalmanState) -> dict[str, Array]:
         """t (NaN before the first epoch), x, P."""

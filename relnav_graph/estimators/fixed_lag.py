@@ -29,7 +29,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.packing import pack, under, unpack
-from relnav_graph.core.problem import Problem
+from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
@@ -46,7 +46,7 @@ from relnav_graph.estimators.weights import (
 )
 from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.conditionals import Anchor, anchor_of
+from relnav_graph.linear.conditionals import Anchor, anchor_of, grown
 
 __all__ = ["FixedLag", "FixedLagEngine"]
 
@@ -223,6 +223,22 @@ class FixedLagEngine:
             weights=w.weights[gone:],
             left=left,
         )
+
+    def grown(self, state: Window, before: FixedLagEngine) -> Window:
+        """The state of an engine whose problem has fewer numbered blocks: linearised anew."""
+        if state.t is None:
+            return self.begin()
+        layout, prior = self.problem.layout, self.problem.prior
+        x, P = padded(prior, state.x, state.P)
+        parts = tuple(part.within(layout) for part in state.parts)
+        window = replace(state, x=x, P=P, parts=parts, anchor=grown(state.anchor, prior))
+        if state.begun is not None:
+            smoother = IncrementalSmoother(self.problem, RATIO)
+            return replace(window, begun=smoother.grown(state.begun, smoother))
+        assert state.chain is not None
+        at = state.chain.estimates(before.problem.layout)
+        at = np.hstack([at, np.tile(prior.x[at.shape[1] :], (len(at), 1))])
+        return replace(window, chain=linearized(replace(window, chain=None), at))
 
     def save(self, state: Window) -> dict[str, Array]:
         """The window and its epochs as plain arrays by name.

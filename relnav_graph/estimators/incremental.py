@@ -163,7 +163,7 @@ class IncrementalSmoother:
 
     def _trajectory(self, s: SmootherState, parts: list[_Part]) -> Array:
         """Present estimate (K, size) of the states of the newest parts, by back-substitution."""
-        layout, out = self.problem.layout, [s.x[None]]
+        layout, out = parts[-1].assembly.layout, [s.x[None]]
         for part in reversed(parts):
             end = layout.local(part.x[-1], out[-1][0])
             out.append(layout.retract(part.x, part.conditionals.solution(end))[:-1])
@@ -215,6 +215,22 @@ class IncrementalSmoother:
         self.state = state
         self.step(epoch, assembly)
         return self.state
+
+    def grown(self, state: SmootherState, before: IncrementalSmoother) -> SmootherState:
+        """The state of an engine whose problem has fewer numbered blocks: linearised anew."""
+        if state.last is None:
+            return self.begin()
+        problem, parts = self.problem, state.parts()
+        layout, prior = problem.layout, problem.prior
+        assembly = Assembly.join([part.assembly for part in parts]).within(layout)
+        weights, x = (
+            np.concatenate([part.weights for part in parts]),
+            self._trajectory(state, parts),
+        )
+        x = np.hstack([x, np.tile(prior.x[x.shape[1] :], (len(x), 1))])
+        system = linearize(assembly, anchor_of(prior), x, assembly.whitening(x[:-1]), weights)
+        last = _Part(None, assembly, weights, x, system.conditionals)
+        return replace(self._moved(state, last, last.conditionals.solution()[-1]), singles=0)
 
     def save(self, state: SmootherState) -> dict[str, Array]:
         """An empty mapping: see `compact`."""

@@ -8,10 +8,9 @@ which decide it variable by variable, cannot win where a new measurement moves e
 little (`relnav_graph.estimators.incremental`). Instead the whole is relinearised by force on the
 same geometric schedule: the tree is built anew at its own estimate until that moves no more.
 
-A tree cannot be copied in the time of a step. So the state is the log of what went into it, an
-immutable value, and the tree a cache of the newest state, made again from the log when another
-state is asked for: after a failure, a late measurement, from a journal. Both ways make the same
-updates of the same numbers, so that the results are the same, bit for bit.
+A tree cannot be copied in the time of a step. So the state is the log of what went into it, and the
+tree a cache of the newest state, made again from the log for another one: after a failure, a late
+measurement, from a journal. Both ways make the same updates, with the same results to the last bit.
 """
 
 from __future__ import annotations
@@ -28,7 +27,8 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.problem import Problem
+from relnav_graph.core.problem import Prior, Problem, padded
+from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
@@ -43,6 +43,7 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.gtsam_extra import Extra, Piece, pieces
+from relnav_graph.linear.gtsam_factors import prior_factor
 from relnav_graph.linear.gtsam_graph import Graph, Keys, PassFactors, to_track
 from relnav_graph.linear.gtsam_tree import Part, Tree, check_depth
 
@@ -99,6 +100,25 @@ class ISAM2Smoother:
         """At the prior, before the first epoch; what the user gave waits for its epochs."""
         start = TreeState(None, self.problem.prior.x, self.problem.prior.P)
         return start if self._extra is None else self.add(start, self._extra)
+
+    def grown(self, state: TreeState, before: ISAM2Smoother) -> TreeState:
+        """The state of an engine whose problem has fewer numbered blocks: with variables of the
+        further ones, at their prior."""
+        prior = self.problem.prior
+        x, P = padded(prior, state.x, state.P)
+        if state.last is None:
+            return replace(state, x=x, P=P)
+        tree, old = before._tree(state), before.problem.layout
+        tree.keys, factors, values = self.keys, gtsam.NonlinearFactorGraph(), gtsam.Values()
+        new = Layout((), self.problem.layout.statics.blocks[len(old.statics) :])
+        more = Prior(prior.x[old.size :], prior.P[old.dim :, old.dim :])
+        factors.push_back(prior_factor(new, more, self.keys.at(0, new)))
+        self.keys.insert(values, 0, new, more.x)
+        tree.update(factors, values, state.count - 1)
+        at = np.concatenate([state.last.x, more.x])
+        part = Part(state.last, (), None, np.zeros(0), factors, values, at, ())
+        self._cache = replace(state, x=x, P=P, last=part), tree
+        return self._cache[0]
 
     def save(self, state: TreeState) -> dict[str, Array]:
         """An empty mapping: see `compact`."""
@@ -192,11 +212,11 @@ class ISAM2Smoother:
         self, s: TreeState, tree: Tree, tolerance: float, forced: int, start: Array
     ) -> tuple[TreeState, Tree, Assembly, float]:
         """The state with the whole history linearised anew, from the trajectory start (N, size),
-        and weights decided anew; its tree, all epochs, and the length of the last step, in
-        sigmas."""
+        with new weights; its tree, all epochs, and the last step's length, in sigmas."""
         parts, problem = s.parts(), self.problem
         epochs = tuple(epoch for part in parts for epoch in part.epochs)
-        assembly = Assembly.join([part.assembly for part in parts if part.assembly is not None])
+        own = [part.assembly for part in parts if part.assembly is not None]
+        assembly = Assembly.join(own).within(problem.layout)
         weights = np.concatenate([part.weights for part in parts])
         given = tuple(piece for part in parts for piece in part.pieces)
         best = tree.best()
@@ -252,9 +272,8 @@ class ISAM2Smoother:
         assert state.last is not None
         nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
         part = Part(state.last, (), None, np.zeros(0), *nothing, state.last.x, ())
-        after, tree = self._updated(after, state, part, ready)
-        self._cache = after, tree
-        return after
+        self._cache = self._updated(after, state, part, ready)
+        return self._cache[0]
 
     def named(self, state: TreeState) -> int:
         """The largest number of an epoch that a factor of the user's names, -1 for none."""
@@ -374,7 +393,8 @@ class Isam2:
 def _second_look(problem: Problem, end: _End) -> tuple[Caution, ...]:
     """A second look at the chain that a problem is without anything of a user's."""
     whiten = end.assembly.whitening(end.x[:-1])
-    system = linearize(end.assembly, anchor_of(problem.prior), end.x, whiten, end.weights)
-    c = system.conditionals
-    solution = Solution(end.x, c, system.cost, system.status, end.weights, end.distance, 0)
-    return second_look(end.assembly, problem.prior, solution, c.marginals())
+    found = linearize(end.assembly, anchor_of(problem.prior), end.x, whiten, end.weights)
+    solution = Solution(
+        *(end.x, found.conditionals, found.cost, found.status, end.weights, end.distance, 0)
+    )
+    return second_look(end.assembly, problem.prior, solution, found.conditionals.marginals())

@@ -10,7 +10,8 @@ from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
-from relnav_graph.linear.assembly import Assembly, MeasurementRows
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.rows import MeasurementRows
 from relnav_graph.linear.tables import ROWS
 from relnav_graph.maths.losses import Loss, root_weights
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,19 +45,7 @@ from relnav_graph.linear.whitening import (
     with_constraints,
 )
 
-__all__ = ["Assembly", "MeasurementRows"]
-
-
-@dataclass(frozen=True, eq=False)
-class MeasurementRows:
-    """Whitened rows r + H d of all observations, d the tangent vector of their epoch.
-
-    r (R,); H (R, n); status (observations,): 0, or why an observation is impossible.
-    """
-
-    r: Array
-    H: Array
-    status: Indices
+__all__ = ["Assembly"]
 
 
 class Assembly:
@@ -199,6 +186,12 @@ class Assembly:
                 out[own, OWN_PLACE : OWN_COLUMN + 1] = np.array(starts)[which_id]
         return out
 
+    def within(self, layout: Layout) -> Assembly:
+        """The same in a layout that has further blocks after those of its own."""
+        one = copy(self)
+        one.layout = layout
+        return one
+
     def at(self, k: int) -> Assembly:
         """The assembly of epoch k alone, with the interval that leads to it.
 
@@ -308,7 +301,7 @@ class Assembly:
                 raise ModelError(f"{where}: the kernel {rows.BROKEN[int(status[i])]}")
             raise GeometryError(f"{where}: {sensor.failure(int(status[i]))}")
 
-    def measure(self, x: Array, weight: Array) -> MeasurementRows:
+    def measure(self, x: Array, weight: Array) -> rows.MeasurementRows:
         """Rows of all observations at the states x (N, size), H to the tangents of all blocks.
 
         weight: (observations,), the square root of a robust weight; 0 leaves one out. An
@@ -320,7 +313,7 @@ class Assembly:
         status = np.empty(self.observations, dtype=np.int64)
         rows.measure(self.tables, x, weight, r, H, status)
         self.check(status)
-        return MeasurementRows(r, H, status)
+        return rows.MeasurementRows(r, H, status)
 
     def check_propagated(self, failure: Indices) -> None:
         """Raise ModelError when a kernel broke its contract in an interval, GeometryError

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import types
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 from scipy.linalg.lapack import dtrtri
 
 from relnav_graph.arrays import Array, Indices
@@ -26,7 +26,7 @@ from relnav_graph.linear.whitening import inverse_cholesky
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import inverse_upper, sandwich
 
-__all__ = ["Anchor", "Conditionals", "Marginals", "anchor_of", "go_back"]
+__all__ = ["Anchor", "Conditionals", "Marginals", "anchor_of", "go_back", "grown"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,15 @@ class Anchor:
 def anchor_of(prior: Prior) -> Anchor:
     """The prior as an anchor: W the inverse Cholesky factor of its P, d = 0."""
     return Anchor(prior.x, inverse_cholesky("the prior", prior.P), np.zeros(len(prior.P)))
+
+
+def grown(anchor: Anchor, prior: Prior) -> Anchor:
+    """An anchor of the first blocks of a prior, with what the prior says of the blocks after these,
+    which it correlates with nothing."""
+    n, size = len(anchor.d), len(anchor.x)
+    W = inverse_cholesky("the prior", prior.P[n:, n:])
+    x, d = np.concatenate([anchor.x, prior.x[size:]]), np.concatenate([anchor.d, np.zeros(len(W))])
+    return Anchor(x, block_diag(anchor.W, W), d)
 
 
 @jit_loop(STACK, STACK, MATRIX, VECTOR, types.int64, MATRIX)

@@ -15,9 +15,10 @@ from typing import Any
 import gtsam
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.linear.assembly import Assembly, MeasurementRows
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals
 from relnav_graph.linear.intervals import ProcessRows
+from relnav_graph.linear.rows import MeasurementRows
 
 __all__ = [
     "STATICS",

@@ -9,6 +9,8 @@ tangent vector of a whole epoch's state.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
@@ -55,6 +57,7 @@ from relnav_graph.maths.manifold import local
 
 __all__ = [
     "BROKEN",
+    "MeasurementRows",
     "measure",
     "observe",
     "propagate",
@@ -67,6 +70,18 @@ SMALL = 1e-3
 # Statuses that the loops add to those of the kernels, and what they mean.
 UNFILLED, OUTSIDE = -1, -2
 BROKEN = {UNFILLED: "left an entry unfilled or not finite", OUTSIDE: "wrote past its arrays"}
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementRows:
+    """Whitened rows r + H d of all observations, d the tangent vector of their epoch.
+
+    r (R,); H (R, n); status (observations,): 0, or why an observation is impossible.
+    """
+
+    r: Array
+    H: Array
+    status: Indices
 
 
 @jit

@@ -15,9 +15,10 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, Truth, estimates
 from relnav_graph.errors import InputError
-from relnav_graph.linear.assembly import Assembly, MeasurementRows
+from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor
 from relnav_graph.linear.elimination import linearize
+from relnav_graph.linear.rows import MeasurementRows
 from relnav_graph.linear.whitening import inverse_cholesky
 
 __all__ = ["Bounds", "bounds", "true_trajectory"]

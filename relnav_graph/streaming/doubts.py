@@ -65,10 +65,10 @@ class Doubts:
     def judge(self, t: float, status: str, message: str) -> tuple[str, str]:
         """Status and message of a new estimate at t, s, with what is known against it."""
         self._looked = ()
-        if status == "OK" and t <= self._gap[0] + self._patience:
+        if status != "LOST" and t <= self._gap[0] + self._patience:
             status, message = "DEGRADED", self._gap[1]
         if self.prior:
-            status = "DEGRADED" if status == "OK" else status
+            status = "LOST" if status == "LOST" else "DEGRADED"
             message = "; ".join(filter(None, [message, self.prior]))
         return status, message
 

@@ -57,8 +57,10 @@ Out goes a line for each epoch, and for each one that a late measurement improve
 
 - `seq` counts the lines out, from 0. `t` is the newest epoch: it comes again when a late
   measurement has improved its estimate.
-- `status`: OK, DEGRADED (the estimate is fed by less than it should be, or its residuals do
-  not fit), LOST (not to be used). `message` says why. `estimate` is null where there is none.
+- `status`: OK, INITIALISING (with unknown points, until the target has turned by a quarter: what
+  is told of it depends on the prior), DEGRADED (the estimate is fed by less than it should be, or
+  its residuals do not fit), LOST (not to be used). `message` says why. `estimate` is null where
+  there is none.
 - `sigma` of an attitude are angles about the axes of its right-hand frame.
 - `rejected`: what was not used since the line before, and why; `id` null for all of a line,
   `sensor` null for a line that names none.

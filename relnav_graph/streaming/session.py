@@ -300,7 +300,7 @@ class Session:
             return self._line(t, "LOST", reason, None)
         t = max(t, now)
         status = self.online.health(t)[0]
-        status = "DEGRADED" if status == "OK" else status
+        status = "LOST" if status == "LOST" else "DEGRADED"
         try:
             inputs = {} if t <= now + SAME_TIME else self._since(now, t)
             return self._line(t, status, reason, self.online.predict(t, inputs))

@@ -23,7 +23,7 @@ from relnav_graph.core.cautions import Caution
 from relnav_graph.core.copies import check_copied, copiers, with_copies
 from relnav_graph.core.epochs import Epoch, stamped
 from relnav_graph.core.measurement import SAME_TIME, Measurement
-from relnav_graph.core.packing import Repeats, held, merged, pack, under, unpack, without_repeats
+from relnav_graph.core.packing import Repeats, held, merged, under, unpack, without_repeats
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import EstimationError, InputError, LateError, ModelError
@@ -46,7 +46,7 @@ from relnav_graph.estimators.online.monitor import (
     caution,
 )
 from relnav_graph.estimators.online.refusals import named, refusals
-from relnav_graph.estimators.online.state import Moment, State
+from relnav_graph.estimators.online.state import Moment, Setting, State, known_in
 from relnav_graph.estimators.second_look import SECOND_LOOK
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly
@@ -71,17 +71,26 @@ class Online:
         estimator = find_class(GROUP, kind)()
         if not isinstance(estimator, ServesOnline):
             raise ModelError(f"estimator {kind!r} cannot be driven online: it has no `engine`")
-        self.problem, self.kind = problem, kind
-        self.engine: Engine = estimator.engine(problem)
+        self.kind = kind
         self.counts: dict[str, dict[str, int]] = {name: {} for name in problem.sensors}
         self._owner: int | None = None
         self._makers = copiers(problem.sensors)
-        self._models = Assembly(problem.layout, problem.processes, problem.sensors, [])
-        self._state = State(self.engine.begin(), Monitor.of(problem.sensors))
+        begun = Setting(estimator, replace(problem, epochs=()))
+        self._state = State(begun.engine.begin(), begun, Monitor.of(problem.sensors))
 
     def from_prior(self, prior: Prior) -> Online:
         """Another one of its kind that begins at a prior."""
         return Online(replace(self.problem, prior=prior), self.kind)
+
+    @property
+    def problem(self) -> Problem:
+        """Models and prior, with the numbered blocks seen so far, without epochs."""
+        return self._state.setting.problem
+
+    @property
+    def engine(self) -> Engine:
+        """The estimator's engine, of that problem."""
+        return self._state.setting.engine
 
     # --- what it knows ---------------------------------------------------------------------
 
@@ -143,7 +152,7 @@ class Online:
                 raise InputError(f"unknown sensor {sensor!r}, expected one of: {known}")
             m = Measurement(sensor, t, z, ids, t_arrival)
             # Assembled alone: all that the sensor's model has to say against it.
-            self._assemble(Epoch(m.t, (m,)), None)
+            self._state.setting.seeing((m,)).models.again(Epoch(m.t, (m,)), None)
         except (InputError, TypeError, ValueError) as error:
             self._count(sensor, "invalid")
             if isinstance(error, InputError):
@@ -202,7 +211,10 @@ class Online:
         if old.added:
             check_numbers(self.engine, old, start, [epoch.t for epoch, _ in cleaned])
         before = tuple(one for one in old.added if one[0] < moment.epoch.t)
-        state = State(moment.state, moment.monitor, old.moments[:start], old.past, before)
+        state = State(
+            *(moment.state, moment.setting, moment.monitor, old.moments[:start], old.past),
+            *(before, moment.turned),
+        )
         found: tuple[Refusal, ...] = ()
         for epoch, _ in cleaned:
             state, more = self._advance(state, epoch)
@@ -258,7 +270,7 @@ class Online:
             inputs = held(self.epochs[-1].inputs, self.problem.processes, t - now)
         ahead = Epoch(t, (), inputs)
         with named(ahead):
-            x, P = self._assemble(ahead, now).predict(self.x, self.P)
+            x, P = self._state.setting.models.again(ahead, now).predict(self.x, self.P)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
             raise EstimationError(f"predict: the state at {t} s is not finite")
         return x, P
@@ -271,23 +283,8 @@ class Online:
         The oldest state of the window and the epochs since; all epochs for an engine whose
         state cannot be saved. Raises InputError on an extra factor that cannot be saved.
         """
-        s, saved = self._state, dict[str, Array]()
-        monitor, epochs = Monitor.of(self.problem.sensors), list(self.epochs)
-        if self.engine.compact and s.moments:
-            saved, monitor = self.engine.save(s.moments[0].state), s.moments[0].monitor
-        past, before = s.past, list[Epoch]()
-        while past is not None:
-            epoch, past = past
-            before.append(epoch)
-        epochs = before[::-1] + epochs
-        out = {f"engine.{name}": array for name, array in saved.items()}
-        out |= {f"epochs.{name}": array for name, array in pack(epochs).items()}
-        out["monitor"] = monitor.table
-        out |= {f"extra.{name}": array for name, array in saved_extras(s.added).items()}
-        for sensor, counts in self.counts.items():
-            for reason, n in counts.items():
-                out[f"counts.{reason}.{sensor}"] = np.array(float(n))
-        return out
+        extras = saved_extras(self._state.added)
+        return self._state.saved(self.counts) | {f"extra.{name}": a for name, a in extras.items()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Be what gave `state`: later estimates are the same, bit for bit, on the same
@@ -296,8 +293,10 @@ class Online:
         if self._state.moments:
             raise InputError("restore: expected an estimator that has taken in nothing yet")
         own = under(state, "engine.")
-        engine = self.engine.load(own) if own else self._state.engine
-        new = State(engine, Monitor.of(self.problem.sensors, np.array(state["monitor"])))
+        setting = self._state.setting.knowing(known_in(state, self.problem))
+        engine = setting.engine.load(own) if own else setting.engine.begin()
+        monitor = Monitor.of(self.problem.sensors, np.array(state["monitor"]))
+        new = State(engine, setting, monitor, turned=float(state.get("turned", 0.0)))
         extras = extras_in(self.engine, under(state, "extra."))
         new = self._added(new, extras, -np.inf)
         for epoch in unpack(under(state, "epochs.")):
@@ -319,9 +318,6 @@ class Online:
         if self._owner != here:
             raise EstimationError("an estimator serves one thread: make one for each")
 
-    def _assemble(self, epoch: Epoch, t_before: float | None) -> Assembly:
-        return self._models.again(epoch, t_before)
-
     def _count(self, sensor: str, reason: str, n: int = 1) -> None:
         if sensor in self.counts:  # names that no sensor has would take memory without end
             counts = self.counts[sensor]
@@ -330,7 +326,7 @@ class Online:
     def _added(self, s: State, extras: Sequence[tuple[float, Any]], t: float) -> State:
         """The state with those extras that were added when the newest epoch was at t, s."""
         for extra in (extra for at, extra in extras if at == t):
-            engine: Any = self.engine
+            engine: Any = s.setting.engine
             s = replace(s, engine=engine.add(s.engine, extra), added=(*s.added, (t, extra)))
         return s
 
@@ -351,12 +347,15 @@ class Online:
         """The state with one more epoch, and what was refused of it."""
         if self._makers:
             check_copied(epoch.measurements, self.problem.sensors, s.monitor.count(USED))
+        setting = s.setting.seeing(epoch.measurements)
         with named(epoch):
-            if assembly is None:
-                assembly = self._assemble(epoch, s.engine.t)
-            engine = self.engine.advance(s.engine, epoch, assembly)
+            before = setting.taken(s.engine, s.setting)
+            if assembly is None or setting is not s.setting:
+                assembly = setting.models.again(epoch, s.engine.t)
+            engine = setting.engine.advance(before, epoch, assembly)
         monitor = s.monitor.after(epoch.t, engine.done)
-        moments, past = (*s.moments, Moment(s.engine, s.monitor, epoch)), s.past
+        moment = Moment(s.engine, s.setting, s.monitor, epoch, s.turned)
+        moments, past = (*s.moments, moment), s.past
         length = self.problem.window
         gone = len(moments) - DEFAULT_EPOCHS
         if length is not None:
@@ -367,7 +366,9 @@ class Online:
                 for m in moments[:gone]:
                     past = (m.epoch, past)
             moments = moments[gone:]
-        return State(engine, monitor, moments, past, s.added), refusals(epoch.t, engine.done)
+        turned_by = s.turned + setting.turned(s.engine, engine)
+        after = State(engine, setting, monitor, moments, past, s.added, turned_by)
+        return after, refusals(epoch.t, engine.done)
 
     def _swap(self, state: State, repeats: Repeats, found: tuple[Refusal, ...]) -> Estimate:
         refused = (*(Refusal(*r, "duplicate") for r in repeats), *found)
@@ -375,9 +376,12 @@ class Online:
         if t is None:
             raise InputError("no epoch was taken in yet")
         status, message = state.monitor.health(t)
-        doubt = caution(self.problem, state.moments[-1].epoch, state.engine.x)
+        doubt = caution(state.setting.problem, state.moments[-1].epoch, state.engine.x)
+        begins = state.setting.initialising(state.turned)
+        if begins and status == "OK":
+            status, message = "INITIALISING", begins
         if doubt:
-            status = "DEGRADED" if status == "OK" else status
+            status = "DEGRADED" if status != "LOST" else status
             message = "; ".join(filter(None, [message, doubt]))
         estimate = Estimate(t, state.engine.x, state.engine.P, status, message, refused)
         self._state = state  # the one assignment that makes it so

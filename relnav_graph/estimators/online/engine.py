@@ -13,7 +13,15 @@ from relnav_graph.estimators.ekf import FilterSweep
 from relnav_graph.estimators.online.monitor import Health
 from relnav_graph.linear.assembly import Assembly
 
-__all__ = ["Engine", "EngineState", "Estimate", "LooksAgain", "Refusal", "TakesExtra"]
+__all__ = [
+    "Engine",
+    "EngineState",
+    "Estimate",
+    "LooksAgain",
+    "Refusal",
+    "TakesExtra",
+    "TakesNumbered",
+]
 
 
 class EngineState(Protocol):
@@ -52,6 +60,16 @@ class Engine(Protocol):
 
     def load(self, arrays: Mapping[str, Array]) -> Any:
         """The state that `save` made `arrays` of: t (), x (size,), P (n, n) and so on."""
+
+
+@runtime_checkable
+class TakesNumbered(Protocol):
+    """What an engine has besides that takes numbered blocks, such as points of a map, as they are
+    first seen."""
+
+    def grown(self, state: Any, before: Any) -> Any:
+        """The state of an engine of the same kind, `before`, whose problem has fewer of them, with
+        the prior of the others."""
 
 
 @runtime_checkable

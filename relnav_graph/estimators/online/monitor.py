@@ -25,7 +25,7 @@ from relnav_graph.estimators.trust import TRUSTED
 
 __all__ = ["Health", "Monitor", "caution"]
 
-Health = Literal["OK", "DEGRADED", "LOST"]
+Health = Literal["OK", "INITIALISING", "DEGRADED", "LOST"]
 
 #: Weight of the newest sample in the averages: they remember about 1 / WEIGHT samples.
 WEIGHT = 0.1
