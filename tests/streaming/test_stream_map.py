@@ -32,9 +32,8 @@ def test_a_line_has_the_points_seen_so_far(inspection: tuple[Scenario, list[str]
     track = run_estimator("incremental", problem)
     points = [block for block in problem.layout.statics if block.number is not None]
     counts = [len(line["estimate"]["point"]["id"]) for line in out]
-    assert counts[0] == len(
-        [m for m in problem.epochs[0].measurements if m.sensor == "camera"][0].z
-    )
+    first = next(m for m in problem.epochs[0].measurements if m.sensor == "camera")
+    assert counts[0] == len(first.z)
     assert sorted(counts) == counts
     assert counts[-1] == len(points)
     last = out[-1]["estimate"]["point"]
