@@ -119,3 +119,20 @@ def test_starry_night_from_frame_131_on(capsys: pytest.CaptureFixture[str]) -> N
     assert batch["relative_attitude"]["rmse"] <= 1.95
     for name in ("relative_position", "relative_attitude"):
         assert batch[name]["rmse"] < ekf[name]["rmse"]
+
+
+def test_starry_night_with_its_points_withheld(capsys: pytest.CaptureFixture[str]) -> None:
+    """The same pass, which makes its own map: after one rigid alignment as good as with the known
+    one."""
+    root = os.environ.get("RELNAV_DATA")
+    if root is None:
+        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
+    path, folder = EXPERIMENTS / "starry_night_map.toml", Path(root) / "starry_night"
+    rows = _compare(capsys, path, "--data", folder, "-e", "batch", "-e", "incremental")
+    aligned = rows["batch"]["aligned"]
+    assert rows["batch"]["statics"]["point"]["count"] == 20
+    assert aligned["map_rmse_m"] <= 0.005
+    assert aligned["states"]["relative_position"]["rmse"] <= 0.0195
+    assert aligned["states"]["relative_attitude"]["rmse"] <= 1.9
+    assert rows["incremental"]["distance"] < 0.1
+    assert rows["incremental"]["aligned"]["map_rmse_m"] <= 0.005
