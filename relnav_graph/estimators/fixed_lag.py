@@ -41,6 +41,7 @@ from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
     count_rejected,
+    left_out,
     lost,
     residual_weights,
 )
@@ -371,5 +372,6 @@ def _counts(assembly: Assembly, weights: Sequence[Array]) -> dict[str, Any]:
     every[: len(reached)] = reached
     return {
         "rejected": count_rejected(assembly, every),
+        "left_out": left_out(assembly, every),
         "downweighted": count_downweighted(assembly, every),
     }

@@ -10,14 +10,16 @@ from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import LeftOut
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.rows import MeasurementRows
-from relnav_graph.linear.tables import ROWS
+from relnav_graph.linear.tables import EPOCH, ROWS
 from relnav_graph.maths.losses import Loss, root_weights
 
 __all__ = [
     "count_downweighted",
     "count_rejected",
+    "left_out",
     "losses_of",
     "lost",
     "residual_weights",
@@ -96,6 +98,16 @@ def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:
     weights: (observations,), square roots, as of `residual_weights`.
     """
     return assembly.by_sensor(weights == 0)
+
+
+def left_out(assembly: Assembly, weights: Array) -> dict[str, LeftOut]:
+    """The observations left out, of each sensor that has any.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
+    out, t = np.flatnonzero(weights == 0), assembly.times[assembly.tables.observations[:, EPOCH]]
+    found = {n: out[assembly.sensor_of[out] == i] for i, n in enumerate(assembly.sensor_names)}
+    return {n: LeftOut(t[own], assembly.ids[own]) for n, own in found.items() if len(own)}
 
 
 def reweighted(
