@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
@@ -13,10 +14,11 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import LeftOut
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.rows import MeasurementRows
-from relnav_graph.linear.tables import EPOCH, ROWS
+from relnav_graph.linear.tables import EPOCH, NUMBERED, OWN_COLUMN, ROWS
 from relnav_graph.maths.losses import Loss, root_weights
 
 __all__ = [
+    "contested",
     "count_downweighted",
     "count_rejected",
     "left_out",
@@ -98,6 +100,21 @@ def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:
     weights: (observations,), square roots, as of `residual_weights`.
     """
     return assembly.by_sensor(weights == 0)
+
+
+def contested(assembly: Assembly, weights: Array) -> NDArray[np.bool_]:
+    """The observations (observations,) of numbered blocks of which no more observations are used
+    than left out: where such a block is, its first sight may have decided, and been wrong.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
+    tables = assembly.tables
+    own = np.flatnonzero(tables.sensors[assembly.sensor_of, NUMBERED])
+    _, block = np.unique(tables.observations[own, OWN_COLUMN], return_inverse=True)
+    used = np.bincount(block, weights[own] > 0)
+    doubtful = np.zeros(assembly.observations, np.bool_)
+    doubtful[own] = (2 * used <= np.bincount(block))[block]
+    return doubtful
 
 
 def left_out(assembly: Assembly, weights: Array) -> dict[str, LeftOut]:
