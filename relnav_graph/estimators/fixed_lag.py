@@ -44,6 +44,7 @@ from relnav_graph.estimators.weights import (
     left_out,
     lost,
     residual_weights,
+    retired,
 )
 from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.linear.assembly import Assembly
@@ -373,5 +374,6 @@ def _counts(assembly: Assembly, weights: Sequence[Array]) -> dict[str, Any]:
     return {
         "rejected": count_rejected(assembly, every),
         "left_out": left_out(assembly, every),
+        "retired": retired(assembly, every),
         "downweighted": count_downweighted(assembly, every),
     }

@@ -12,6 +12,7 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import LeftOut
+from relnav_graph.estimators.first_sights import has_map, names_of
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.rows import MeasurementRows
 from relnav_graph.linear.tables import EPOCH, NUMBERED, OWN_COLUMN, ROWS
@@ -25,6 +26,7 @@ __all__ = [
     "losses_of",
     "lost",
     "residual_weights",
+    "retired",
     "reweighted",
     "thresholds",
 ]
@@ -117,6 +119,17 @@ def contested(assembly: Assembly, weights: Array) -> NDArray[np.bool_]:
     return doubtful
 
 
+def retired(assembly: Assembly, weights: Array) -> tuple[str, ...]:
+    """Names of the numbered blocks of which no observation is used.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
+    none = np.flatnonzero(contested(assembly, weights))
+    blocks = assembly.tables.observations[:, OWN_COLUMN]
+    none = none[~np.isin(blocks[none], blocks[none][weights[none] > 0])]
+    return tuple(dict.fromkeys(names_of(assembly, none)))
+
+
 def left_out(assembly: Assembly, weights: Array) -> dict[str, LeftOut]:
     """The observations left out, of each sensor that has any.
 
@@ -153,6 +166,9 @@ def reweighted(
     convex = {**losses, **dict.fromkeys(doubtful, Loss("huber"))}
     kept = {name: gate for name, gate in gates.items() if name not in doubtful}
     stages = [(kept, convex, 0.05)] if doubtful else []
+    if has_map(assembly.layout) and doubtful & set(gates):  # see `gauss_newton.solve_gated`
+        last = {**losses, **dict.fromkeys(doubtful & set(gates), Loss("cauchy"))}
+        stages.append((kept, last, 0.05))
     for some, how, settled in [*stages, (gates, losses, SETTLED)]:
         for _ in range(rounds):
             new = residual_weights(assembly, assembly.measure(x, everything), some, how)
