@@ -17,6 +17,7 @@ from relnav_graph.core.state import Block, Layout
 __all__ = [
     "Innovations",
     "Kind",
+    "LeftOut",
     "Recording",
     "Statics",
     "Status",
@@ -58,6 +59,15 @@ class Innovations:
 
 
 @dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Observations of one sensor that an estimate was made without, in order of time: t (m,), s,
+    and ids (m,)."""
+
+    t: Array
+    ids: Indices
+
+
+@dataclass(frozen=True, eq=False)
 class Statics:
     """What each epoch of a track says of the blocks that have one value for the whole pass.
 
@@ -79,7 +89,9 @@ class Track:
     kind: what each epoch's estimate has seen: the past (filtered), a little of the future
     (fixed-lag), everything (smoothed). t (N,) s; x (N, size) stored vectors; P (N, dim,
     dim) covariances of the right perturbation, in the layout's order. status and message:
-    whether to trust it; rejected: observations not used, by sensor; downweighted: those that
+    whether to trust it; rejected: observations not used, by sensor, and left_out: which these are,
+    of the sensors that have any; retired: names of the numbered blocks of which none is used;
+    downweighted: those that
     a robust loss lets count for less; step_s: time of each
     online step, s; smoothed: for an online estimator, the track that it ends with;
     innovations: of a filter, by sensor; truth: of the pass, where the estimator flew one of
@@ -100,6 +112,8 @@ class Track:
     runtime_s: float = 0.0
     step_s: Array | None = None
     rejected: Mapping[str, int] = field(default_factory=dict)
+    left_out: Mapping[str, LeftOut] = field(default_factory=dict)
+    retired: tuple[str, ...] = ()
     downweighted: Mapping[str, int] = field(default_factory=dict)
     smoothed: Track | None = None
     innovations: Mapping[str, Innovations] = field(default_factory=dict)
@@ -113,6 +127,12 @@ class Track:
     def blocks(self) -> tuple[Block, ...]:
         """All blocks: those of the epochs, then the static ones."""
         return self.layout.blocks + (self.statics.layout.blocks if self.statics else ())
+
+    @property
+    def mapped(self) -> tuple[Block, ...]:
+        """Numbered blocks of which observations were used, such as the points of a map."""
+        statics = self.statics.layout if self.statics else ()
+        return tuple(b for b in statics if b.number is not None and b.name not in self.retired)
 
     @property
     def states(self) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem, padded
-from relnav_graph.core.track import Innovations, Status, Track, estimates
+from relnav_graph.core.track import Innovations, LeftOut, Status, Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.first_sights import first_epochs, first_sights
 from relnav_graph.estimators.source import Source, drive
@@ -21,6 +21,7 @@ from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
     count_rejected,
+    left_out,
     losses_of,
     lost,
     thresholds,
@@ -94,6 +95,11 @@ class FilterSweep:
     def rejected(self) -> dict[str, int]:
         """Observations left out in the epochs reached, by sensor."""
         return count_rejected(self.assembly, self._reached_weights)
+
+    @property
+    def left_out(self) -> dict[str, LeftOut]:
+        """The same observations, of each sensor that has any."""
+        return left_out(self.assembly, self._reached_weights)
 
     @property
     def downweighted(self) -> dict[str, int]:
@@ -338,6 +344,7 @@ class Ekf:
             runtime_s=time.perf_counter() - start,
             step_s=np.array(seconds),
             rejected=done.rejected,
+            left_out=done.left_out,
             downweighted=done.downweighted,
             innovations=done.innovations(),
         )

@@ -41,8 +41,10 @@ from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
     count_downweighted,
     count_rejected,
+    left_out,
     lost,
     residual_weights,
+    retired,
 )
 from relnav_graph.estimators.window import Left, Window, linearized
 from relnav_graph.linear.assembly import Assembly
@@ -371,5 +373,7 @@ def _counts(assembly: Assembly, weights: Sequence[Array]) -> dict[str, Any]:
     every[: len(reached)] = reached
     return {
         "rejected": count_rejected(assembly, every),
+        "left_out": left_out(assembly, every),
+        "retired": retired(assembly, every),
         "downweighted": count_downweighted(assembly, every),
     }

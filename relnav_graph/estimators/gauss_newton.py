@@ -13,7 +13,8 @@ from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import estimates_in_parts
 from relnav_graph.errors import EstimationError, GeometryError, ModelError
-from relnav_graph.estimators.weights import residual_weights, thresholds
+from relnav_graph.estimators.first_sights import has_map
+from relnav_graph.estimators.weights import contested, residual_weights, thresholds
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals, Marginals, anchor_of
 from relnav_graph.linear.elimination import System, linearize
@@ -196,32 +197,47 @@ def solve_gated(
     is solved with Huber's loss first, which has one minimum, so that what to leave out is decided
     at a robust estimate. With gates alone it is also solved without that detour, and the better
     of the two results is taken.
+
+    Of a numbered block, such as a point of a map, whose first sight was wrong, a gate leaves out
+    all right ones. So where a block is `contested`, and only there, with numbered blocks, the
+    gates are decided anew: Huber's loss is followed by Cauchy's, which at last lets no wrong sight
+    pull. What is contested even then is retired: all its observations are left out, and it stays
+    at its prior until it is seen again.
     """
     prior = problem.prior if anchor is None else anchor
     solution = solve(assembly, prior, x, weights, tolerance=tolerance)
     if not (problem.gates or problem.losses) and (solution.status == 0).all():
         return solution
-    losses = problem.losses
+    losses, numbered = problem.losses, has_map(assembly.layout)
     doubtful = {name for name, loss in losses.items() if loss.redescends}
     straight = None
     if not doubtful:  # a gate alone: as good a way is the one without a detour
         straight = _reweighted(
             *(assembly, prior, solution, problem.gates, losses), tolerance, WEIGHT_TOLERANCE
         )
-    if (solution.weights == 0).any():
+    if straight is not None and numbered and not contested(assembly, straight.weights).any():
+        return straight
+    if (solution.weights == 0).any() or numbered:
         doubtful |= set(problem.gates)
     if straight is not None and not doubtful:
         return straight
     kept = {name: gate for name, gate in problem.gates.items() if name not in doubtful}
     convex = {**losses, **dict.fromkeys(doubtful, Loss("huber"))}
     rough = _reweighted(assembly, prior, solution, kept, convex, 0.1, 0.05)
+    if numbered and problem.gates:
+        last = {**losses, **dict.fromkeys(problem.gates, Loss("cauchy"))}
+        rough = _reweighted(assembly, prior, rough, kept, last, 0.1, 0.05)
     found = _reweighted(
         *(assembly, prior, rough, problem.gates, losses), tolerance, WEIGHT_TOLERANCE
     )
-    if straight is None:
-        return found
     limits = thresholds(assembly, problem.gates)
-    return min(straight, found, key=lambda s: _truncated(s, limits))
+    if straight is not None:
+        found = min(straight, found, key=lambda s: _truncated(s, limits))
+    retired = contested(assembly, found.weights) & np.isfinite(limits) & (found.weights > 0)
+    if not retired.any():
+        return found
+    kept_weights = np.where(retired, 0.0, found.weights)
+    return solve(assembly, prior, found.x, kept_weights, tolerance=tolerance)
 
 
 def _truncated(solution: Solution, limits: Array) -> float:

@@ -22,7 +22,7 @@ from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, run_filter
 from relnav_graph.estimators.gauss_newton import at_rounding, smoothed
 from relnav_graph.estimators.rts import smooth
-from relnav_graph.estimators.weights import count_downweighted, count_rejected
+from relnav_graph.estimators.weights import count_downweighted, count_rejected, left_out
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import Anchor, Conditionals, anchor_of
 from relnav_graph.linear.elimination import System, linearize
@@ -146,6 +146,7 @@ def smooth_long_pass(
             t=one.assembly.times[own],
             **smoothed(layout, one.x[own], found, own),
             rejected=count_rejected(one.assembly, one.weights),
+            left_out=left_out(one.assembly, one.weights),
             downweighted=count_downweighted(one.assembly, one.weights),
         )
         P_end = found.whole(slice(1))[0]

@@ -64,5 +64,6 @@ class Rts:
             message=message,
             runtime_s=time.perf_counter() - start,
             rejected=done.rejected,
+            left_out=done.left_out,
             downweighted=done.downweighted,
         )

@@ -8,7 +8,13 @@ from typing import Any
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Status
-from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
+from relnav_graph.estimators.weights import (
+    count_downweighted,
+    count_rejected,
+    left_out,
+    lost,
+    retired,
+)
 from relnav_graph.linear.assembly import Assembly
 
 #: Mean squared normalised residual, per row, beyond which a track is not to be trusted.
@@ -46,7 +52,8 @@ def judge(
 def examine(
     problem: Problem, assembly: Assembly, weights: Array, cost: float, unconverged: float | None
 ) -> dict[str, Any]:
-    """status, message, rejected and downweighted of a track smoothed over a whole pass.
+    """status, message, rejected, left_out, retired and downweighted of a track smoothed over a
+    whole pass.
 
     weights (observations,): square roots of the weights that it ended with; cost: half the sum of
     squared whitened residuals; unconverged: length of the last step, in sigmas, where it was not
@@ -61,6 +68,8 @@ def examine(
         "status": status,
         "message": message,
         "rejected": dict.fromkeys(problem.sensors, 0) | count_rejected(assembly, weights),
+        "left_out": left_out(assembly, weights),
+        "retired": retired(assembly, weights),
         "downweighted": count_downweighted(assembly, weights),
     }
 

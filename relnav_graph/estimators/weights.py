@@ -6,21 +6,27 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import LeftOut
+from relnav_graph.estimators.first_sights import has_map, names_of
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.rows import MeasurementRows
-from relnav_graph.linear.tables import ROWS
+from relnav_graph.linear.tables import EPOCH, NUMBERED, OWN_COLUMN, ROWS
 from relnav_graph.maths.losses import Loss, root_weights
 
 __all__ = [
+    "contested",
     "count_downweighted",
     "count_rejected",
+    "left_out",
     "losses_of",
     "lost",
     "residual_weights",
+    "retired",
     "reweighted",
     "thresholds",
 ]
@@ -98,6 +104,42 @@ def count_rejected(assembly: Assembly, weights: Array) -> dict[str, int]:
     return assembly.by_sensor(weights == 0)
 
 
+def contested(assembly: Assembly, weights: Array) -> NDArray[np.bool_]:
+    """The observations (observations,) of numbered blocks of which no more observations are used
+    than left out: where such a block is, its first sight may have decided, and been wrong.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
+    tables = assembly.tables
+    own = np.flatnonzero(tables.sensors[assembly.sensor_of, NUMBERED])
+    _, block = np.unique(tables.observations[own, OWN_COLUMN], return_inverse=True)
+    used = np.bincount(block, weights[own] > 0)
+    doubtful = np.zeros(assembly.observations, np.bool_)
+    doubtful[own] = (2 * used <= np.bincount(block))[block]
+    return doubtful
+
+
+def retired(assembly: Assembly, weights: Array) -> tuple[str, ...]:
+    """Names of the numbered blocks of which no observation is used.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
+    none = np.flatnonzero(contested(assembly, weights))
+    blocks = assembly.tables.observations[:, OWN_COLUMN]
+    none = none[~np.isin(blocks[none], blocks[none][weights[none] > 0])]
+    return tuple(dict.fromkeys(names_of(assembly, none)))
+
+
+def left_out(assembly: Assembly, weights: Array) -> dict[str, LeftOut]:
+    """The observations left out, of each sensor that has any.
+
+    weights: (observations,), square roots, as of `residual_weights`.
+    """
+    out, t = np.flatnonzero(weights == 0), assembly.times[assembly.tables.observations[:, EPOCH]]
+    found = {n: out[assembly.sensor_of[out] == i] for i, n in enumerate(assembly.sensor_names)}
+    return {n: LeftOut(t[own], assembly.ids[own]) for n, own in found.items() if len(own)}
+
+
 def reweighted(
     problem: Problem,
     assembly: Assembly,
@@ -124,6 +166,9 @@ def reweighted(
     convex = {**losses, **dict.fromkeys(doubtful, Loss("huber"))}
     kept = {name: gate for name, gate in gates.items() if name not in doubtful}
     stages = [(kept, convex, 0.05)] if doubtful else []
+    if has_map(assembly.layout) and doubtful & set(gates):  # see `gauss_newton.solve_gated`
+        last = {**losses, **dict.fromkeys(doubtful & set(gates), Loss("cauchy"))}
+        stages.append((kept, last, 0.05))
     for some, how, settled in [*stages, (gates, losses, SETTLED)]:
         for _ in range(rounds):
             new = residual_weights(assembly, assembly.measure(x, everything), some, how)

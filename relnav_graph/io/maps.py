@@ -48,7 +48,7 @@ _ENTRIES = {f"cov_{'xyz'[i]}{'xyz'[j]}": (i, j) for i in range(3) for j in range
 
 def _map_columns(track: Track) -> dict[str, list[float]]:
     """x, y, z, m, sigmas, covariances of each point at the last epoch; {} without finite ones."""
-    blocks = members(track.statics.layout if track.statics else ()).get(POINT.name, ())
+    blocks = members(track.mapped).get(POINT.name, ())
     end = track.at(slice(-1, None))
     X = np.array([end.value(b.name)[0] for b in blocks]).reshape(-1, 3)
     P = np.array([end.covariance(b.name)[0] for b in blocks]).reshape(-1, 3, 3)

@@ -10,6 +10,8 @@ others, with ``static_covariance``, and ``cross_covariance`` with the states of 
 ``time`` where each epoch says something else of them, over ``pass``, of length one, where all say
 the same, as smoothers do. A family of numbered ones, such as the points of a map, is one variable,
 with ``point_id`` and the ``point_covariance`` of each.
+
+Observations that were not used are ``left_out_sensor``, ``left_out_time`` and ``left_out_id``.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ from relnav_graph.io.block_variables import (
     family_variables,
     stored_family,
 )
+from relnav_graph.io.left_out import left_out_variables, stored_left_out
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
 from relnav_graph.io.stored import Count, check_json
 from relnav_graph.io.tabular import from_components, tangent_columns
@@ -108,6 +111,7 @@ def _track_group(track: Track, smoothed: str, truth: str) -> Group:
     variables["covariance"] = Variable(("time", "state", "state_2"), track.P, covariance)
     if track.statics is not None:
         variables |= _statics_variables(track.statics)
+    variables |= left_out_variables(track.left_out)
     if track.step_s is not None:
         step: Attributes = {"units": "s", "long_name": "computing time of each online step"}
         variables["step_s"] = Variable(("step",), track.step_s, step)
@@ -123,6 +127,7 @@ def _track_group(track: Track, smoothed: str, truth: str) -> Group:
         "truth": truth,
         "controlled": " ".join(b.name for b in track.controlled),
         "cautions": cautions_out(track.cautions),
+        "retired": " ".join(track.retired),
     }
     return Group(attributes, variables)
 
@@ -201,6 +206,7 @@ class _StoredTrack:
     truth: str = ""
     controlled: str = ""
     cautions: Json[list[Caution]] = field(default_factory=list)
+    retired: str = ""
 
 
 @dataclass(frozen=True)
@@ -322,6 +328,8 @@ def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = Fal
         controlled=tuple(
             block_of(where, n, _variable(where, truth, n)) for n in controlled if truth is not None
         ),
+        left_out=stored_left_out(where, group),
+        retired=tuple(a.retired.split()),
         cautions=tuple(a.cautions),
         statics=_statics(where, group, layout, len(t)),
     )

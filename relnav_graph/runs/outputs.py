@@ -9,6 +9,7 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.numbered import times_seen
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
+from relnav_graph.io.left_out import write_left_out
 from relnav_graph.io.manifest import PassManifest
 from relnav_graph.io.maps import write_map
 from relnav_graph.io.results import cautions_out, write_results
@@ -47,7 +48,9 @@ def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "")
     write_results(out / "results.nc", found.tracks, opened.recording.truth, attributes)
     with atomic(out / "summary.json") as staged:
         staged.write_text(json.dumps(found.summary, indent=2, allow_nan=False) + "\n", "utf-8")
-    write_map(out, with_smoothed(found.tracks))
+    every = with_smoothed(found.tracks)
+    write_map(out, every)
+    write_left_out(out, every)
     PassManifest(
         opened.scenario.name,
         opened.scenario.raw,

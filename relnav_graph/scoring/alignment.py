@@ -142,7 +142,7 @@ def aligned(
     of three points.
     """
     known = known_points(truth)
-    numbered = members(track.statics.layout if track.statics else ()).get(POINT.name, ())
+    numbered = members(track.mapped).get(POINT.name, ())
     names = [b.name for b in numbered if b.name in known]
     track = track.at(inside)
     if truth is None or len(names) < _FEWEST or not finite(track.states).all():

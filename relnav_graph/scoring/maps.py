@@ -78,7 +78,7 @@ def family_scores(
     """
     states: dict[str, StateEstimates] = {}
     errors: dict[str, StateErrors] = {}
-    for blocks in members(track.blocks).values():
+    for blocks in members(track.mapped).values():
         states |= _with_derived(family(track, blocks))
         known = _known(track.t, blocks, truth)
         if not known:

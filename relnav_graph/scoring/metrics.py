@@ -317,6 +317,7 @@ def _row(
         "cautions": [vars(c) for c in cautions],
         "rejected": {sensor: int(n) for sensor, n in track.rejected.items()},
         "downweighted": {sensor: int(n) for sensor, n in track.downweighted.items()},
+        **({"retired": list(track.retired)} if track.retired else {}),
         "states": {name: _state_row(state) for name, state in s.states.items()},
         **_statics(s),
         **({"aligned": laid} if laid else {}),
