@@ -18,11 +18,13 @@ from relnav_graph.errors import GeometryError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.tables import EPOCH, NUMBERED, OWN_COLUMN, Z_DATA
 
-__all__ = ["first_epochs", "first_sights", "has_map", "names_of", "turned", "unseen"]
+__all__ = ["QUARTER", "first_epochs", "first_sights", "has_map", "names_of", "turned", "unseen"]
 
 #: Correlation with the states that move below which a block was never seen: it is zero, but for
 #: rounding.
 TIED = 1e-9
+#: By how much an unknown target must have turned before its map is one, rad.
+QUARTER = np.pi / 2
 
 
 def _numbered(assembly: Assembly) -> Indices:
