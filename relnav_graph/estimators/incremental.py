@@ -111,6 +111,7 @@ class IncrementalSmoother:
 
     def __init__(self, problem: Problem, ratio: float) -> None:
         self.problem, self.ratio = problem, ratio
+        self.no_depth = tells_no_depth(problem)
         self.state = self.begin()
 
     @property
@@ -136,7 +137,7 @@ class IncrementalSmoother:
             assembly = Assembly(layout, *models, [epoch], s.t)
         # Where the epoch is linearised: an iterated filter's estimate. Of a map without depths, all
         # epochs are linearised anew until the target's motion is known.
-        iterations = 1 if s.motions else ITERATIONS
+        iterations = 1 if self.no_depth else ITERATIONS
         done = filter_step(problem, iterations, FilterState(s.t, s.x, s.P), epoch, assembly)
         try:
             if s.motions:
@@ -154,14 +155,22 @@ class IncrementalSmoother:
         return self.x, self.P
 
     def _extended(self, s: SmootherState, done: FilterSweep) -> SmootherState:
-        """The state with one more epoch; the epoch before is linearised at its latest estimate."""
+        """The state with one more epoch; the epoch before is linearised at its latest estimate,
+        but for a map without depths."""
         layout, assembly, x = self.problem.layout, done.assembly, done.end.x[None]
         n = layout.moving.dim
         whiten = np.zeros((0, n, n))
         if s.last is None:
             c = linearize(assembly, anchor_of(self.problem.prior), x, whiten, done.weights)
         else:
-            x = layout.held(np.stack([s.x, x[0]]))
+            begin = s.x
+            if self.no_depth:
+                # The size of the whole is so weak that it must stay as it is where epochs are
+                # linearised: otherwise they seem to tell it.
+                begin = s.last.x[-1]
+                x = assembly.transition(begin[None])[0]
+                x = layout.retract(x, first_sights(assembly, begin, s.P)[None])
+            x = layout.held(np.stack([begin, x[0]]))
             whiten = assembly.whitening_of(done.x_predicted, done.Q)
             c = linearize(assembly.preceded(), s.last.anchor, x, whiten, done.weights)
         last = _Part(s.last, assembly, done.weights, x, c.conditionals)
@@ -228,7 +237,7 @@ class IncrementalSmoother:
         motions to follow, which are not much worse."""
         problem, prior, others = self.problem, self.problem.prior, s.motions[1:]
         starts, everything = [(x, weights)], np.ones(assembly.observations)
-        if not s.motions and tells_no_depth(problem) and worth_a_search(assembly, prior):
+        if not s.motions and self.no_depth and worth_a_search(assembly, prior):
             starts, others = [], motions(assembly, prior)
         elif not s.motions:
             return solve_gated(assembly, problem, x, weights, tolerance), ()
