@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.passes import EXPERIMENTS
+from passes import EXPERIMENTS
 
 from relnav_graph import load_scenario
 from relnav_graph.arrays import Array
