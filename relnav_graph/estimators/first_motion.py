@@ -22,6 +22,7 @@ from relnav_graph.core.catalogue import (
     RELATIVE_POSITION,
     RELATIVE_POSITION_T,
     RELATIVE_VELOCITY,
+    RELATIVE_VELOCITY_T,
     TARGET_RATE,
 )
 from relnav_graph.core.contracts import ReadsNumbered
@@ -49,13 +50,14 @@ ANGLE, NEAR = 3e-4, 0.3
 
 
 def tells_no_depth(problem: Problem) -> bool:
-    """Whether all that sees numbered blocks sees no depth, and the state has a rate to search."""
+    """Whether all that sees numbered blocks sees no depth, and the state has a place and a rate."""
     seeing = [s for s in problem.sensors.values() if numbered_of(s) is not None]
     blocks = problem.layout.moving.blocks
     return (
         bool(seeing)
         and not any(isinstance(s, ReadsNumbered) and s.sees_depth for s in seeing)
         and (TARGET_RATE in blocks or BODY_RATE in blocks)
+        and (RELATIVE_POSITION in blocks or RELATIVE_POSITION_T in blocks)
     )
 
 
@@ -100,7 +102,7 @@ def _fitted(assembly: Assembly, prior: Prior, x: Array) -> tuple[Array, Array]:
     rates, and the costs (h,)."""
     layout, count, x = assembly.layout, len(x), x.copy()
     free = [b.name for b in layout.moving if b in (RELATIVE_POSITION, RELATIVE_POSITION_T)]
-    free += [b.name for b in layout.moving if b == RELATIVE_VELOCITY]
+    free += [b.name for b in layout.moving if b in (RELATIVE_VELOCITY, RELATIVE_VELOCITY_T)]
     stored = np.concatenate([np.arange(layout.size)[layout.stored(n)] for n in free])
     columns = np.concatenate([np.arange(layout.dim)[layout.tangent(n)] for n in free])
     sigma = np.sqrt(np.diag(prior.P)[columns])
@@ -113,6 +115,8 @@ def _fitted(assembly: Assembly, prior: Prior, x: Array) -> tuple[Array, Array]:
     places, origins, lines = _lines(assembly, _carried(assembly, trials.reshape(-1, layout.size)))
     shape = (len(stored) + 1, count, len(places), 3)
     origins, line = origins.reshape(shape), lines.reshape(shape)[0]
+    told = np.isfinite(origins).all(axis=(0, 3)) & np.isfinite(line).all(axis=2)  # (h, s)
+    origins, line = np.where(told[..., None], origins, 1.0), np.where(told[..., None], line, 0.0)
     G = np.moveaxis(origins[1:] - origins[0], 0, -1)  # (h, s, 3, f), for a sigma each
     # One size for all: without depth, the chaser could come as near as it likes.
     depth = np.einsum("hsif,hsi->hf", G[..., :3], line)
@@ -121,7 +125,7 @@ def _fitted(assembly: Assembly, prior: Prior, x: Array) -> tuple[Array, Array]:
     G[..., :3] = np.einsum("hsif,hfg->hsig", G[..., :3], keep)
     distance = np.linalg.norm(origins[0], axis=2)
     across = np.eye(3) - line[..., :, None] * line[..., None, :]
-    across /= distance[..., None, None] ** 2
+    across *= (told / distance**2)[..., None, None]
     blocks, own = np.unique(places, return_inverse=True)
 
     def summed(values: Array) -> Array:

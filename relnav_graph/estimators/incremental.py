@@ -237,10 +237,13 @@ class IncrementalSmoother:
         motions to follow, which are not much worse."""
         problem, prior, others = self.problem, self.problem.prior, s.motions[1:]
         starts, everything = [(x, weights)], np.ones(assembly.observations)
-        if not s.motions and self.no_depth and worth_a_search(assembly, prior):
-            starts, others = [], motions(assembly, prior)
-        elif not s.motions:
-            return solve_gated(assembly, problem, x, weights, tolerance), ()
+        if not s.motions:
+            if self.no_depth and worth_a_search(assembly, prior):
+                with suppress(*UNSOLVED):
+                    others = motions(assembly, prior)
+            if not others or turned(problem.layout, x)[-1] > QUARTER:
+                return solve_gated(assembly, problem, x, weights, tolerance), ()
+            starts = []
         starts += [(begun(assembly, prior, other), everything) for other in others]
         found = list[Solution]()
         for start, w in starts:
