@@ -29,8 +29,9 @@ from relnav_graph.core.contracts import ReadsNumbered
 from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Block, Layout
+from relnav_graph.estimators.first_sights import sights_in
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.tables import OWN_PLACE, Z_DATA
+from relnav_graph.linear.tables import EPOCH, OWN_PLACE, Z_DATA
 
 __all__ = ["begun", "motions", "tells_no_depth", "worth_a_search"]
 
@@ -44,6 +45,8 @@ FINER, LIKELY = 4, 3.0
 SEARCHED = (0.5, 0.7)
 #: Epochs of which the lines of sight are taken.
 TAKEN = 12
+#: Fewer epochs with sights tell no rate.
+FEWEST = 3
 #: Error of a line of sight, rad, against which the prior of place and velocity counts; how near to
 #: the centre of mass points are, in distances of the chaser, against that.
 ANGLE, NEAR = 3e-4, 0.3
@@ -82,11 +85,10 @@ def _lines(assembly: Assembly, x: Array) -> tuple[Indices, Array, Array]:
     for which, sensor in enumerate(assembly.sensors.values()):
         if numbered_of(sensor) is None or not isinstance(sensor, ReadsNumbered):
             continue
-        for k in np.unique(np.linspace(0, len(x) - 1, TAKEN).astype(int)):
-            own = np.arange(*assembly.epoch_offsets[k : k + 2])
-            own = own[assembly.sensor_of[own] == which]
-            if not len(own):
-                continue
+        seen = np.flatnonzero(assembly.sensor_of == which)
+        epochs = np.unique(tables.observations[seen, EPOCH])
+        for k in epochs[:: -(-len(epochs) // TAKEN) or 1]:
+            own = seen[tables.observations[seen, EPOCH] == k]
             rows = tables.observations[own]
             z = np.array([tables.numbers[slice(*row[Z_DATA : Z_DATA + 2])] for row in rows])
             states = [[layout.value(one, b.name) for b in sensor.reads] for one in x[k]]
@@ -171,6 +173,8 @@ def _tried(rate: tuple[Array, Array], span: float) -> Array:
 def worth_a_search(assembly: Assembly, prior: Prior) -> bool:
     """Whether the epochs are enough to tell rates that the prior allows from one another, and so
     few that not many need to be tried."""
+    if len(np.unique(assembly.tables.observations[sights_in(assembly), EPOCH])) < FEWEST:
+        return False
     own = assembly.layout.tangent(_rate(assembly.layout).name)
     sigma = float(np.sqrt(np.linalg.eigvalsh(prior.P[own, own])[-1]))
     return SEARCHED[0] <= sigma * float(assembly.times[-1] - assembly.times[0]) < SEARCHED[1]
