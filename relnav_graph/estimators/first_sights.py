@@ -18,14 +18,25 @@ from relnav_graph.errors import GeometryError
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.tables import EPOCH, NUMBERED, OWN_COLUMN, Z_DATA
 
-__all__ = ["first_epochs", "first_sights", "has_map", "names_of", "turned", "unseen"]
+__all__ = [
+    "QUARTER",
+    "first_epochs",
+    "first_sights",
+    "has_map",
+    "names_of",
+    "sights_in",
+    "turned",
+    "unseen",
+]
 
 #: Correlation with the states that move below which a block was never seen: it is zero, but for
 #: rounding.
 TIED = 1e-9
+#: By how much an unknown target must have turned before its map is one, rad.
+QUARTER = np.pi / 2
 
 
-def _numbered(assembly: Assembly) -> Indices:
+def sights_in(assembly: Assembly) -> Indices:
     """The observations that read a numbered block."""
     found: Indices = np.flatnonzero(assembly.tables.sensors[assembly.sensor_of, NUMBERED])
     return found
@@ -33,7 +44,7 @@ def _numbered(assembly: Assembly) -> Indices:
 
 def first_epochs(assembly: Assembly) -> set[int]:
     """The epochs of an assembly in which a numbered block is first seen."""
-    observations = assembly.tables.observations[_numbered(assembly)]
+    observations = assembly.tables.observations[sights_in(assembly)]
     _, first = np.unique(observations[:, OWN_COLUMN], return_index=True)
     return set(observations[first, EPOCH].tolist())
 
@@ -41,7 +52,7 @@ def first_epochs(assembly: Assembly) -> set[int]:
 def unseen(assembly: Assembly, P: Array) -> Indices:
     """The observations of numbered blocks that were never seen before, by the covariance P (dim,
     dim) of the estimate: they are correlated with nothing that moves."""
-    moving, seen = assembly.layout.moving.dim, _numbered(assembly)
+    moving, seen = assembly.layout.moving.dim, sights_in(assembly)
     columns = assembly.tables.observations[seen, OWN_COLUMN]
     scale = np.sqrt(np.outer(np.diag(P)[columns], np.diag(P)[:moving]))
     new: Indices = seen[(np.abs(P[columns, :moving]) <= TIED * scale).all(axis=1)]

@@ -8,6 +8,11 @@ line of sight leaves the heading of the orbital frame weakly observable, so that
 measurement moves every past state a little. Instead the whole past is relinearised on a geometric
 schedule (at epochs 1, 2, 3, 4, 6, 8, ... growing by a fixed ratio), which costs a constant amount
 per epoch, amortised.
+
+Of unknown points in cameras without depth, the first search of the target's motion
+(`relnav_graph.estimators.first_motion`) gives the trajectory to begin with, and all epochs are
+relinearised with each new one until the target has turned by a quarter: the size of the whole is so
+weak that linear steps would lose it.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -27,6 +33,8 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
+from relnav_graph.estimators.first_motion import begun, motions, tells_no_depth, worth_a_search
+from relnav_graph.estimators.first_sights import QUARTER, first_sights, turned
 from relnav_graph.estimators.gauss_newton import Solution, solve, solve_gated
 from relnav_graph.estimators.parts import in_order
 from relnav_graph.estimators.second_look import conclude, second_look
@@ -45,6 +53,8 @@ RATIO = 1.3
 WINDOW = 100
 #: Length of the last step, in sigmas over all states together, of the whole in the end.
 CONVERGED = 1e-3
+#: By how much the cost of a motion is higher than the best one's, when it is given up.
+UNLIKELY = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +84,8 @@ class SmootherState:
     t: s, None before the first epoch; x (size,), P (n, n): the newest estimate;
     count: epochs taken in; last: the newest part, linked to those before, which other states
     share; singles: parts of one epoch, the newest ones; due: number of epochs at which the whole
-    is relinearised next; done: the filter's part in the newest epoch.
+    is relinearised next; done: the filter's part in the newest epoch; motions: states (size,)
+    at the first epoch of the target's motions that are followed, see `first_motion`.
     """
 
     t: float | None
@@ -85,6 +96,7 @@ class SmootherState:
     singles: int = 0
     due: int = 1
     done: FilterSweep | None = None
+    motions: tuple[Array, ...] = ()
 
     def parts(self, count: int | None = None) -> list[_Part]:
         """The newest parts, by default all, in order of time."""
@@ -99,6 +111,7 @@ class IncrementalSmoother:
 
     def __init__(self, problem: Problem, ratio: float) -> None:
         self.problem, self.ratio = problem, ratio
+        self.no_depth = tells_no_depth(problem)
         self.state = self.begin()
 
     @property
@@ -122,9 +135,14 @@ class IncrementalSmoother:
         if assembly is None:
             layout, models = problem.layout, (problem.processes, problem.sensors)
             assembly = Assembly(layout, *models, [epoch], s.t)
-        # Where the epoch is linearised: an iterated filter's estimate.
-        done = filter_step(problem, ITERATIONS, FilterState(s.t, s.x, s.P), epoch, assembly)
+        # Where the epoch is linearised: an iterated filter's estimate. Of a map without depths, all
+        # epochs are linearised anew until the target's motion is known.
+        iterations = 1 if self.no_depth else ITERATIONS
+        done = filter_step(problem, iterations, FilterState(s.t, s.x, s.P), epoch, assembly)
         try:
+            if s.motions:
+                self.state = self._relinearized(s, 0.1, done)[0]
+                return self.x, self.P
             after = self._extended(s, done)
             if after.count >= s.due:
                 after = self._relinearized(after, 0.1)[0]
@@ -137,14 +155,22 @@ class IncrementalSmoother:
         return self.x, self.P
 
     def _extended(self, s: SmootherState, done: FilterSweep) -> SmootherState:
-        """The state with one more epoch; the epoch before is linearised at its latest estimate."""
+        """The state with one more epoch; the epoch before is linearised at its latest estimate,
+        but for a map without depths."""
         layout, assembly, x = self.problem.layout, done.assembly, done.end.x[None]
         n = layout.moving.dim
         whiten = np.zeros((0, n, n))
         if s.last is None:
             c = linearize(assembly, anchor_of(self.problem.prior), x, whiten, done.weights)
         else:
-            x = layout.held(np.stack([s.x, x[0]]))
+            begin = s.x
+            if self.no_depth:
+                # The size of the whole is so weak that it must stay as it is where epochs are
+                # linearised: otherwise they seem to tell it.
+                begin = s.last.x[-1]
+                x = assembly.transition(begin[None])[0]
+                x = layout.retract(x, first_sights(assembly, begin, s.P)[None])
+            x = layout.held(np.stack([begin, x[0]]))
             whiten = assembly.whitening_of(done.x_predicted, done.Q)
             c = linearize(assembly.preceded(), s.last.anchor, x, whiten, done.weights)
         last = _Part(s.last, assembly, done.weights, x, c.conditionals)
@@ -182,16 +208,56 @@ class IncrementalSmoother:
         return replace(self._moved(s, last, np.zeros(self.problem.layout.dim)), singles=0)
 
     def _relinearized(
-        self, s: SmootherState, tolerance: float
+        self, s: SmootherState, tolerance: float, newest: FilterSweep | None = None
     ) -> tuple[SmootherState, Assembly, Solution]:
-        """Gauss-Newton over the whole history."""
-        parts = s.parts()
-        assembly = Assembly.join([part.assembly for part in parts])
-        weights, x = np.concatenate([part.weights for part in parts]), self._trajectory(s, parts)
-        solution = solve_gated(assembly, self.problem, x, weights, tolerance)
+        """Gauss-Newton over the whole history, and one epoch more."""
+        layout, parts = self.problem.layout, s.parts()
+        assemblies, weights = [p.assembly for p in parts], [p.weights for p in parts]
+        x = self._trajectory(s, parts)
+        if newest is not None:
+            one, ahead = newest.assembly, newest.x_predicted
+            step = first_sights(one, s.x, s.P)
+            assemblies.append(one)
+            weights.append(np.ones(one.observations))
+            x = np.concatenate([x, layout.retract(ahead, step[None])])
+            s = replace(s, t=newest.end.t, count=s.count + 1, done=newest)
+        assembly = Assembly.join(assemblies)
+        solution, followed = self._best(s, assembly, x, np.concatenate(weights), tolerance)
         last = _Part(None, assembly, solution.weights, solution.x, solution.conditionals)
-        after = self._moved(s, last, np.zeros(self.problem.layout.dim))
-        return replace(after, singles=0), assembly, solution
+        after = self._moved(s, last, np.zeros(layout.dim))
+        after = replace(after, singles=0, motions=followed)
+        if newest is not None:
+            after = replace(after, due=max(after.count + 1, s.due))
+        return after, assembly, solution
+
+    def _best(
+        self, s: SmootherState, assembly: Assembly, x: Array, weights: Array, tolerance: float
+    ) -> tuple[Solution, tuple[Array, ...]]:
+        """The best solution, from the trajectory x (N, size) or that of another motion; and the
+        motions to follow, which are not much worse."""
+        problem, prior, others = self.problem, self.problem.prior, s.motions[1:]
+        starts, everything = [(x, weights)], np.ones(assembly.observations)
+        if not s.motions:
+            if self.no_depth and worth_a_search(assembly, prior):
+                with suppress(*UNSOLVED):
+                    others = motions(assembly, prior)
+            if not others or turned(problem.layout, x)[-1] > QUARTER:
+                return solve_gated(assembly, problem, x, weights, tolerance), ()
+            starts = []
+        starts += [(begun(assembly, prior, other), everything) for other in others]
+        found = list[Solution]()
+        for start, w in starts:
+            with suppress(*UNSOLVED):
+                found.append(solve_gated(assembly, problem, start, w, tolerance))
+        if not found:
+            raise EstimationError("no motion of the target fits what is seen of it")
+        # What a motion makes impossible to see counts against it.
+        costs = [one.cost + UNLIKELY * float((one.weights == 0).sum()) for one in found]
+        order = np.argsort(costs)
+        near = [found[i].x[0] for i in order if costs[i] < min(costs) + UNLIKELY]
+        best = found[order[0]]
+        known = turned(problem.layout, best.x)[-1] > QUARTER
+        return best, () if known else tuple(near)
 
     def finish(self) -> tuple[Assembly, Solution]:
         """Relinearise once more, to convergence: the whole trajectory, smoothed."""

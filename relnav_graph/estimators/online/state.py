@@ -18,15 +18,12 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import ServesOnline
-from relnav_graph.estimators.first_sights import turned
+from relnav_graph.estimators.first_sights import QUARTER, turned
 from relnav_graph.estimators.online.engine import Engine, TakesNumbered
 from relnav_graph.estimators.online.monitor import Monitor
 from relnav_graph.linear.assembly import Assembly
 
 __all__ = ["Moment", "Setting", "State", "known_in"]
-
-#: By how much an unknown target must have turned before its map is one, rad.
-QUARTER = np.pi / 2
 
 
 @dataclass(frozen=True, eq=False)
