@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import connected_components
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.state import Layout
-from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
+from relnav_graph.linear.gtsam_factors import guarded
 from relnav_graph.linear.gtsam_graph import Keys, read_any
 
 __all__ = ["Extra", "Piece", "pieces"]
@@ -76,7 +77,9 @@ def pieces(extra: Extra, keys: Keys, x: Array, known: gtsam.Values) -> list[Piec
     x (size,): a state of all blocks, where factors are tried; known: values of the user's earlier
     variables. Raises InputError, naming the factor and the key, on a key that is unknown, of
     another type or size; on a value that is not finite, of a block, given twice, or in no factor;
-    on a noise model that is none; on what is no factor.
+    on a noise model that is none; on what is no factor, and on a `CustomFactor` that raises there,
+    or gives residuals or Jacobians of another shape, or not finite. It is looked at whenever it is
+    evaluated later, too.
     """
     if not isinstance(extra, Extra):
         raise InputError(f"extra: found {type(extra).__name__}, expected an Extra(factors, values)")
@@ -98,7 +101,10 @@ def pieces(extra: Extra, keys: Keys, x: Array, known: gtsam.Values) -> list[Piec
             )
         if known.exists(key):
             raise InputError(f"extra: found a second value of {shown(key)}")
-        if not np.isfinite(numbers := _numbers(read_any(extra.values, key))).all():
+        numbers = _numbers(read_any(extra.values, key))
+        if not numbers.size:
+            raise InputError(f"extra: found no number in the value of {shown(key)}, expected some")
+        if not np.isfinite(numbers).all():
             raise InputError(
                 f"extra: found {numbers} as the value of {shown(key)}, expected finite numbers"
             )
@@ -108,7 +114,8 @@ def pieces(extra: Extra, keys: Keys, x: Array, known: gtsam.Values) -> list[Piec
     for i, factor in enumerate(factors):
         if factor is None:
             raise InputError(f"extra: found no factor in place {i}")
-        _check(f"extra: factor {i} ({type(factor).__name__})", factor, keys, x, trial)
+        where = f"extra: factor {i} ({type(factor).__name__})"
+        factors[i] = _check(where, factor, keys, x, trial)
     touched = {int(key) for factor in factors for key in list(factor.keys())}
     for key in new:
         if key not in touched:
@@ -128,12 +135,15 @@ _MISFIT = ("requested type", "fixed-size", "dimension", "mis-match")
 
 def _check(
     where: str, factor: gtsam.NonlinearFactor, keys: Keys, x: Array, values: gtsam.Values
-) -> None:
-    """Raise InputError unless a factor fits its variables; adds those of blocks to `values`."""
+) -> gtsam.NonlinearFactor:
+    """A factor, guarded if it is made of Python. Raises InputError unless it fits its variables;
+    adds those of blocks to `values`."""
     own = [int(key) for key in list(factor.keys())]
     if not own:
         raise InputError(f"{where}: found no key, expected one or more")
     noise = factor.noiseModel() if hasattr(factor, "noiseModel") else None
+    if isinstance(factor, gtsam.CustomFactor) and noise is None:
+        raise InputError(f"{where}: found no noise model, expected one")
     if isinstance(noise, gtsam.noiseModel.Diagonal):
         sigmas = np.asarray(noise.sigmas())
         if not ((sigmas > 0) | ((sigmas == 0) & noise.isConstrained())).all():
@@ -160,18 +170,23 @@ def _check(
                     f"{where}: found {name} of {numbers.size} numbers for {shown(key)}, expected"
                     f" {dims[key]}"
                 )
+    if isinstance(factor, gtsam.CustomFactor):
+        factor = guarded(where, factor, [dims[key] for key in own])
     try:
         linear = factor.linearize(values)
+    except (ModelError, EstimationError) as error:  # of what is guarded
+        raise InputError(str(error)) from error
     except (RuntimeError, ValueError) as error:
         if not any(word in str(error) for word in _MISFIT):
-            return  # impossible there, which may be otherwise where it counts
+            return factor  # impossible there, which may be otherwise where it counts
         raise InputError(
             f"{where}: does not fit {', '.join(map(shown, own))}: {str(error).strip()}"
         ) from error
     except GeometryError:
-        return
+        return factor
     if linear is not None and linear.jacobian()[0].shape[1] != sum(dims[key] for key in own):
         raise InputError(f"{where}: its Jacobian does not fit {', '.join(map(shown, own))}")
+    return factor
 
 
 def _of(keys: Keys, x: Array, name: str) -> Array:

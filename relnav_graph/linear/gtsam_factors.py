@@ -1,12 +1,11 @@
 """Any of our models as a `gtsam.CustomFactor` in anybody's own factor graph.
 
-The only module that builds a `CustomFactor`. Keys map to blocks in the order in which a
-model names them: an attitude block is a `gtsam.Rot3`, any other a vector. The residual is
-whitened inside, so the factor's noise model is a unit one, or what the caller gives for whitened
-residuals: a robust one, say. Every Jacobian comes out of a
-buffer of the right size and is checked to be filled. A kernel that writes past its buffer is
-found out before GTSAM sees the factor, since GTSAM answers a wrong shape with a segmentation
-fault.
+The only module that builds a `CustomFactor`; one of a user's goes through `guarded`. Keys map to
+blocks in the order in which a model names them: an attitude block is a `gtsam.Rot3`, any other a
+vector. The residual is whitened inside, so the factor's noise model is a unit one, or what the
+caller gives for whitened residuals: a robust one, say. Every Jacobian comes out of a buffer of the
+right size and is checked to be filled. A kernel that writes past its buffer is found out before
+GTSAM sees the factor, since GTSAM answers a wrong shape with a segmentation fault.
 
 Inside `ISAM2` keep a reference to ``isam.getLinearizationPoint()`` while updating: without
 it, GTSAM copies all its values for each call of each factor.
@@ -27,7 +26,13 @@ from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Block, Layout
-from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.errors import (
+    EstimationError,
+    GeometryError,
+    InputError,
+    ModelError,
+    RelnavError,
+)
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.intervals import process_rows
@@ -197,6 +202,38 @@ def observation_factor(
     count = int(assembly.row_offsets[-1])
     noise = _noise_model(sensor.kind, count, assembly.observations, model)
     return gtsam.CustomFactor(noise, list(keys), error)
+
+
+def guarded(where: str, inner: gtsam.CustomFactor, dims: Sequence[int]) -> gtsam.CustomFactor:
+    """A factor of a user's, looked at each time that it is evaluated: GTSAM takes what is not
+    filled, or of another size, for numbers.
+
+    where: of the factor, for messages; dims: tangent dimension of each of its keys. Evaluating it
+    raises ModelError when it raises anything but an error of this package, or gives residuals or
+    Jacobians of another shape, EstimationError when they are not finite.
+    """
+    count = inner.noiseModel().dim()
+
+    def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
+        try:
+            r = np.asarray(inner.unwhitenedError(values, jacobians))
+        except RelnavError:
+            raise
+        except Exception as raised:
+            raise ModelError(f"{where}: it raised {type(raised).__name__}: {raised}") from raised
+        found = {"residuals": r} | {f"jacobians[{i}]": H for i, H in enumerate(jacobians or ())}
+        shapes = [(count,), *((count, dim) for dim in dims if jacobians is not None)]
+        if len(found) != len(shapes):
+            raise ModelError(f"{where}: found {len(found) - 1} Jacobians, expected {len(dims)}")
+        for (name, array), shape in zip(found.items(), shapes, strict=True):
+            if array.shape != shape:
+                raise ModelError(f"{where}: found {name} of {array.shape}, expected {shape}")
+            if not np.isfinite(array).all():
+                bad = array[~np.isfinite(array)][0]
+                raise EstimationError(f"{where}: found {bad} in {name}, expected finite numbers")
+        return r
+
+    return gtsam.CustomFactor(inner.noiseModel(), list(inner.keys()), error)
 
 
 def process_factor(

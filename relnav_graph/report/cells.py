@@ -202,7 +202,7 @@ def aligned(summary: Mapping[str, Any]) -> Table | None:
     if not rows:
         return None
     body = [
-        [Cell(title, "strong"), *(Cell(number(one.get(key))) for one in rows.values())]
+        [Cell(title, "strong"), *(Cell(number(one.get(key), 6)) for one in rows.values())]
         for key, title in ALIGNMENT.items()
         if any(key in one for one in rows.values())
     ]

@@ -8,92 +8,37 @@ pass, or a smoothed estimate of a recorded one.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Derived, NamesDirections
+from relnav_graph.core.contracts import Derived
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scoring.bounds import Bounds, bounds
 from relnav_graph.scoring.deviations import estimates
+from relnav_graph.scoring.directions import (
+    ACROSS,
+    ALIKE,
+    ALONG,
+    GAUGE,
+    INERTIA,
+    SCALE,
+    Direction,
+    named_directions,
+    spin,
+)
 from relnav_graph.scoring.metrics import StateScore, score_of
 from relnav_graph.units import convert
 
-__all__ = ["Direction", "explain", "named_directions"]
+__all__ = ["explain"]
 
 #: A direction is called weak, or not observable, from this ratio of smoothed to prior sigma on.
 WEAK, UNOBSERVABLE = 0.3, 0.9
-#: A direction is named after another one when the cosine between them is at least this.
-ALIKE = 0.8
-
-
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """A direction of the error state, or several that share a name: the columns of D (n, k).
-
-    unit: shown in tables; scale: from SI to that unit.
-    """
-
-    name: str
-    D: Array
-    unit: str
-    scale: float
-
-    def members(self) -> Iterator[tuple[str, Array]]:
-        """Each column with its name."""
-        for k, d in enumerate(self.D.T):
-            yield (self.name if self.D.shape[1] == 1 else f"{self.name} ({_LETTERS[k]})"), d
-
-    def alike(self, v: Array, inverse: Array) -> tuple[float, str]:
-        """Cosine of the angle between v and the span of these directions, and a name for v.
-
-        With whitened directions W D = Q R: |Q^T v|. v (n,): whitened, of length 1; inverse
-        (n, n): W, the inverse Cholesky factor of the prior's covariance. Of several directions
-        the name tells the combination that comes nearest.
-        """
-        basis, mixing = np.linalg.qr(inverse @ self.D)
-        part = basis.T @ v
-        size = float(np.linalg.norm(part))
-        if self.D.shape[1] == 1 or size < ALIKE:
-            return size, self.name
-        weights = np.linalg.solve(mixing, part)
-        weights /= np.linalg.norm(weights) * np.sign(weights[np.abs(weights).argmax()])
-        text = ", ".join(f"{round(w, 2) + 0.0:.2f}" for w in weights)
-        return size, f"{self.name} ({text})"
-
-
-_LETTERS = "xyz123456"
-
-
-def named_directions(problem: Problem, x: Array) -> list[Direction]:
-    """Directions that the models name at the state x (size,).
-
-    A model names directions by a method ``directions(*x)``: by name, for every block that
-    it reads (a process: advances and reads) the tangents (dim, k) of k directions.
-    """
-    layout, found = problem.layout, dict[str, Direction]()
-    models: list[tuple[Any, tuple[Block, ...]]] = [
-        (p, p.advances + p.reads) for p in problem.processes.values()
-    ]
-    models += [(s, s.reads) for s in problem.sensors.values()]
-    for model, blocks in models:
-        if not isinstance(model, NamesDirections):
-            continue
-        values = [layout.value(x, b.name) for b in blocks]
-        for name, parts in model.directions(*values).items():
-            D = np.zeros((layout.dim, parts[0].shape[1]))
-            D[layout.gather(blocks)[1]] = np.concatenate(parts)
-            first = next((b for b, p in zip(blocks, parts, strict=True) if p.any()), None)
-            if first is not None:
-                one = Direction(name, D, first.table_unit, first.table_scale)
-                found.setdefault(name, one)
-    return list(found.values())
 
 
 def _along(d: Array, information: Array, P: Array) -> float:
@@ -119,6 +64,11 @@ def _blocks_of(layout: Layout) -> list[Direction]:
     ]
 
 
+def _amplitude(d: Array, w: Array | None, information: Array, P: Array) -> float:
+    """1-sigma of the amplitude along d (n,), of the states that w (n,) tells; see `Direction`."""
+    return _along(d, information, P) if w is None else float(np.sqrt(w @ P @ w))
+
+
 def _name(v: Array, inverse: Array, named: list[Direction], blocks: list[Direction]) -> str:
     """A name for the whitened direction v (n,): of a direction that the models name, else of a
     block, whichever is near enough, else the three blocks with the largest parts."""
@@ -137,7 +87,9 @@ def _covariance_at(track: Track, k: int) -> Array:
     return P
 
 
-def _weak_directions(problem: Problem, bound: Bounds, x: Array) -> list[dict[str, Any]]:
+def _weak_directions(
+    problem: Problem, bound: Bounds, x: Array, axis: Array | None
+) -> list[dict[str, Any]]:
     """Directions of the first epoch's state, static blocks included, in which the data hardly
     improve the prior, worst first.
 
@@ -146,7 +98,7 @@ def _weak_directions(problem: Problem, bound: Bounds, x: Array) -> list[dict[str
     """
     inverse = np.linalg.inv(np.linalg.cholesky(problem.prior.P))
     left, vectors = np.linalg.eigh(inverse @ _covariance_at(bound.smoothed, 0) @ inverse.T)
-    named, blocks = named_directions(problem, x), _blocks_of(problem.layout)
+    named, blocks = named_directions(problem, x, axis), _blocks_of(problem.layout)
     out = []
     for value, v in sorted(zip(left, vectors.T, strict=True), key=lambda pair: -pair[0]):
         kept = float(np.sqrt(max(value, 0.0)))
@@ -158,9 +110,12 @@ def _weak_directions(problem: Problem, bound: Bounds, x: Array) -> list[dict[str
     return out
 
 
-def _direction_rows(problem: Problem, bound: Bounds, x: Array) -> list[dict[str, Any]]:
-    """Of each direction that a model names: sigma of prior, filter (last epoch) and
-    smoother (middle epoch), each at its own epoch's state."""
+def _direction_rows(
+    problem: Problem, bound: Bounds, x: Array, axis: Array | None
+) -> list[dict[str, Any]]:
+    """Of each direction that has a name: sigma of prior, filter (last epoch) and smoother (middle
+    epoch), each at its own epoch's state. The prior's, where the amplitude is that of certain
+    states, is what it says when all but the direction is known: 1 / sqrt(d^T L d)."""
     information, middle = 1 / np.diag(problem.prior.P), len(x) // 2
     moments = {
         "prior": (0, problem.prior.P),
@@ -169,11 +124,63 @@ def _direction_rows(problem: Problem, bound: Bounds, x: Array) -> list[dict[str,
     }
     rows: dict[str, dict[str, Any]] = {}
     for key, (k, P) in moments.items():
-        for direction in named_directions(problem, x[k]):
-            for name, d in direction.members():
+        for direction in named_directions(problem, x[k], axis):
+            if direction.name == GAUGE and key != "prior":
+                continue  # it is of the first epoch alone
+            for name, d, w in direction.members():
                 row = rows.setdefault(name, {"direction": name, "unit": direction.unit})
-                row[key] = direction.scale * _along(d, information, P)
+                own = None if key == "prior" else w
+                row[key] = direction.scale * _amplitude(d, own, information, P)
     return list(rows.values())
+
+
+#: From how many times the uncertainty across the spin axis on that along it stands out.
+_STANDS_OUT = 10.0
+
+
+def _verdict(row: Mapping[str, Any]) -> str:
+    kept = row["smoother_middle"] / row["prior"]
+    return "not observable" if kept >= UNOBSERVABLE else "weak" if kept >= WEAK else "observable"
+
+
+def _told(row: Mapping[str, Any]) -> str:
+    unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    return f"{row['smoother_middle']:.3g}{unit} of {row['prior']:.3g}{unit} a priori"
+
+
+def words(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What can be told of a target without a model, and what not; [] of one with a model.
+
+    rows: of the named directions, with the sigmas of prior and smoother.
+    """
+    named = {row["direction"]: row for row in rows}
+    out = []
+    if ALONG in named:
+        along = named[ALONG]
+        others = [r["smoother_middle"] for n, r in named.items() if n.startswith(ACROSS)]
+        across = float(np.sqrt(np.mean(np.square(others))))
+        said = _verdict(along)
+        if said == "observable" and along["smoother_middle"] > _STANDS_OUT * across:
+            said = "hardly observable, the rotation does not tell it"
+        out.append(f"{ALONG}: {said}: {_told(along)}; across it {across:.3g} {along['unit']}")
+    if SCALE in named:
+        out.append(f"{SCALE}: {_verdict(named[SCALE])}: {_told(named[SCALE])} (relative)")
+    inertia = {n.removeprefix(INERTIA): r for n, r in named.items() if n.startswith(INERTIA)}
+    for verdict, end in (("not observable", "stay at the prior"), ("weak", "are weak")):
+        found = {n: r for n, r in inertia.items() if _verdict(r) == verdict}
+        if found:
+            parts = "; ".join(f"{n} ({_told(r)})" for n, r in found.items())
+            out.append(f"{INERTIA}{len(found)} of {len(inertia)} parameters {end}: {parts}")
+    if inertia and not any(o.startswith(INERTIA) for o in out):
+        out.append(f"{INERTIA}all {len(inertia)} parameters are observable")
+    gauge = [r for n, r in named.items() if n.startswith(GAUGE)]
+    if gauge:
+        held = f"{gauge[0]['prior']:.3g} {gauge[0]['unit']}"
+        out.append(
+            f"{GAUGE}: gauge, a choice and no observation: the axes of t are those of the target at"
+            f" the first epoch, as the prior says to {held}"
+        )
+    return out
 
 
 def _first_line(model: Any) -> str:
@@ -277,6 +284,8 @@ def explain(
     Raises what :func:`relnav_graph.scoring.bounds.bounds` raises.
     """
     bound = bounds(problem, x)
+    axis = spin(problem.layout, x)
+    rows = _direction_rows(problem, bound, x, axis)
     assembly = Assembly.of(problem)
     Q = assembly.transition(x[:-1])[2]
     return {
@@ -286,6 +295,7 @@ def explain(
         "sensors": _sensor_rows(problem),
         "processes": _process_rows(problem, Q) if len(x) > 1 else [],
         **_state_rows(problem, bound, derived, evaluate),
-        "directions": _direction_rows(problem, bound, x),
-        "weak": _weak_directions(problem, bound, x[0]),
+        "directions": rows,
+        "weak": _weak_directions(problem, bound, x[0], axis),
+        **({"target": told} if (told := words(rows)) else {}),
     }

@@ -170,7 +170,7 @@ def _aligned_maps(rows: Mapping[str, Any]) -> list[str]:
     if not having:
         return []
     table = [
-        [title, *(_text(one.get(key)) for one in having.values())]
+        [title, *(_text(one.get(key), ".6g") for one in having.values())]
         for key, title in ALIGNMENT.items()
         if any(key in one for one in having.values())
     ]
@@ -296,6 +296,9 @@ def explain_table(found: Mapping[str, Any]) -> str:
     if directions:
         lines += ["", "Predicted 1-sigma along directions that the models name"]
         lines += _aligned("direction |    prior|filter, last|smoother, middle", directions)
+    if "target" in found:
+        lines += ["", "What the data tell of the target, 1-sigma of a smoother"]
+        lines += [f"  {text}" for text in found["target"]]
     lines += ["", "Weak directions of the first epoch (smoothed sigma in parts of the prior's)"]
     weak = [[w["direction"], w["verdict"], f"{w['kept']:.2f}"] for w in found["weak"]]
     lines += _aligned("direction |verdict |kept", weak) if weak else ["  none"]

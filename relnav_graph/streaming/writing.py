@@ -14,6 +14,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.measurement import SAME_TIME, Measurement
+from relnav_graph.core.numbered import members
 from relnav_graph.core.problem import Prior
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording
@@ -40,14 +41,24 @@ def _sigmas(P: Array) -> list[float]:
 
 def estimate_object(
     layout: Layout, derived: Iterable[Derived], x: Array, P: Array
-) -> dict[str, dict[str, list[float]]]:
+) -> dict[str, dict[str, list[Any]]]:
     """`estimate` of an output line: blocks, and quantities derived from them, with sigmas.
 
     x (size,): stored vector; P (n, n): its covariance; SI. Attitudes come as quaternions, w first.
+    A family of numbered blocks is one entry, with lists of `id`, value and sigma.
     """
-    found = {}
+    found: dict[str, dict[str, list[Any]]] = {}
     values = layout.values(x)
+    for family, blocks in members(layout).items():
+        sigmas = [_sigmas(P[rows, rows]) for rows in (layout.tangent(b.name) for b in blocks)]
+        found[family] = {
+            "id": [b.number for b in blocks],
+            "value": [_components(b, values[b.name]) for b in blocks],
+            "sigma": sigmas,
+        }
     for block in layout:
+        if block.number is not None:
+            continue
         rows = layout.tangent(block.name)
         value = _components(block, values[block.name])
         found[block.name] = {"value": value, "sigma": _sigmas(P[rows, rows])}
@@ -83,9 +94,11 @@ def recording_lines(
 ) -> Iterator[str]:
     """A recording as the lines of a stream, in order of arrival, numbered.
 
-    prior: its mean goes into the header, as the estimators of a comparison get it.
+    prior: its mean goes into the header, as the estimators of a comparison get it; one of numbered
+    blocks is that of the scenario.
     """
-    mean = {b.name: _components(b, layout.value(prior.x, b.name)) for b in layout}
+    own = [b for b in layout if b.number is None]
+    mean = {b.name: _components(b, layout.value(prior.x, b.name)) for b in own}
     lines: list[tuple[float, int, dict[str, Any]]] = []
     for key, series in recording.inputs.items():
         edges = zip(series.t_start.tolist(), series.t_end.tolist(), strict=True)

@@ -14,8 +14,8 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.estimators import run_estimator
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scoring.bounds import true_trajectory
+from relnav_graph.scoring.directions import named_directions
 from relnav_graph.scoring.metrics import score
-from relnav_graph.scoring.observability import named_directions
 
 Capture = pytest.CaptureFixture[str]
 
