@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import KnowsInertialOrbit, KnowsOrbit
+from relnav_graph.core.contracts import Dynamics, KnowsInertialOrbit, KnowsOrbit, Sensor
 from relnav_graph.core.epochs import unit_hint
 
-__all__ = ["Caution", "gap_cautions", "interval_cautions", "orbit_cautions"]
+__all__ = ["Caution", "gap_cautions", "interval_cautions", "orbit_cautions", "untold_cautions"]
 
 #: Revolutions between the epoch of an orbit and the start of a pass from which on it is doubted
 #: that both are of one clock.
@@ -68,6 +68,27 @@ def interval_cautions(times: Array) -> tuple[Caution, ...]:
         return ()
     text = f"the epochs are {typical:.6g} s apart (median){unit_hint(typical)}"
     return (Caution("intervals", text),)
+
+
+def untold_cautions(
+    statics: Iterable[str],
+    processes: Iterable[Dynamics],
+    measured: Iterable[Sensor],
+) -> tuple[Caution, ...]:
+    """Of static blocks, by name, of which no measurement tells: they end with their priors.
+
+    measured: the sensors that have measured anything. They tell of what they read, and, through a
+    process that advances any of that, of what it reads.
+    """
+    told, linked = {b.name for s in measured for b in s.reads}, list(processes)
+    while more := [p for p in linked if told & {b.name for b in p.advances}]:
+        linked = [p for p in linked if p not in more]
+        told |= {b.name for p in more for b in (*p.advances, *p.reads)}
+    untold = [name for name in statics if name not in told]
+    if not untold:
+        return ()
+    text = f"nothing was measured that tells of {', '.join(untold)}: it ends with its prior"
+    return (Caution("never seen", text),)
 
 
 def gap_cautions(bridged: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[Caution, ...]:

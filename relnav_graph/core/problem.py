@@ -18,6 +18,7 @@ from relnav_graph.core.cautions import (
     gap_cautions,
     interval_cautions,
     orbit_cautions,
+    untold_cautions,
 )
 from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
 from relnav_graph.core.copies import copied
@@ -164,7 +165,11 @@ class Problem:
         if not self.epochs:
             return ()
         start = self.cautions_from(self.epochs[0].t)
-        return start + interval_cautions(self.times) + gap_cautions(self.bridged)
+        seen = {m.sensor for epoch in self.epochs for m in epoch.measurements}
+        measured = [sensor for name, sensor in self.sensors.items() if name in seen]
+        statics = [block.name for block in self.layout.statics]
+        untold = untold_cautions(statics, self.processes.values(), measured)
+        return start + interval_cautions(self.times) + gap_cautions(self.bridged) + untold
 
     def cautions_from(self, t: float) -> tuple[Caution, ...]:
         """What is doubtful about a pass that begins at time t, s, whatever comes of it."""

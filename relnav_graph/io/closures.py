@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.core.contracts import CopiesBlocks, ReadsCopies, Sensor
 from relnav_graph.core.copies import closure_of
+from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.models import ENTRY_POINTS
 from relnav_graph.files import is_name
@@ -90,6 +91,7 @@ def keyframes_in(folder: Path, scenario: Mapping[str, Any]) -> dict[str, dict[st
         table = read_table(folder, name)
         if table is not None and "t_from_s" in table.columns:
             origin = time.get("origin", 0.0) if isinstance(time, Mapping) else 0.0
-            keyframes = np.unique(table["t_from_s"]) - parse_quantity(origin, "s")
+            # Stamps of one epoch may differ in their last digits: they are one keyframe.
+            keyframes = epoch_times(np.unique(table["t_from_s"]) - parse_quantity(origin, "s"))
             out[name] = {"keyframes": keyframes.tolist()}
     return out

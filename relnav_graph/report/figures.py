@@ -285,7 +285,7 @@ def _band_handle() -> Patch:
 def _limit_ratio(ax: Axes) -> None:
     """Limits of an axis of ratios; logarithmic above 5, so that rows near 1 stay readable."""
     low, high = ax.dataLim.intervaly
-    if high > 5:
+    if high > 5 or ax.get_yscale() == "log":  # of the panel beside, which shares the axis
         ax.set_yscale("log")
         ax.set_ylim(max(0.8 * min(low, 0.5), 1e-3), 1.3 * high)
     else:

@@ -190,7 +190,8 @@ def make_scenario(
             if section == "sensors":
                 general = {k: own.pop(k) for k in SensorOptions.model_fields if k in own}
                 time = merged.get("time")
-                several = at_keyframes(key, named_mount(own, key), time, problems)
+                simulated = settings is None and "data" not in raw
+                several = at_keyframes(key, named_mount(own, key), time, problems, simulated)
                 try:
                     options |= dict.fromkeys(several, SensorOptions.model_validate(general))
                 except ValidationError as error:
@@ -228,12 +229,17 @@ def make_scenario(
         options |= {key: SensorOptions() for key in sensors if key not in options}
         priors = copy_priors(sensors, layout) | file.prior
         file = file.model_copy(update={"prior": priors})
-        # What a sensor reads that waits for the data is not known yet.
-        spare = file.prior if waiting and len(made["sensors"]) < len(file.sensors) else every
-        check_prior(layout, file, problems, families(sensors), spare)
-        told = file.truth or {}
-        statics = true_statics(every, told.get("statics", {}), problems)
-        points = true_map(told.get("map"), sensors, settings, file.simulated, problems)
+        told, numbered = file.truth or {}, families(sensors)
+        if any(path.startswith("sensors.") for path, _ in problems) or (
+            waiting and len(made["sensors"]) < len(file.sensors)
+        ):
+            # What a sensor reads that is wrong, or waits for the data, is not known: one error, not
+            # one for each block.
+            check_prior(layout, file, problems, numbered, file.prior)
+        else:
+            check_prior(layout, file, problems, numbered, every)
+            statics = true_statics(every, told.get("statics", {}), problems)
+            points = true_map(told.get("map"), sensors, settings, file.simulated, problems)
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)

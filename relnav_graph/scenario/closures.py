@@ -56,13 +56,30 @@ def _expanded(value: Any, time: Any) -> list[float]:
     return found
 
 
+def _check_in_pass(times: list[float], time: Any) -> None:
+    """Raise InputError on a keyframe, s, that is no epoch of a pass of [time] step and epochs."""
+    known = time if isinstance(time, Mapping) else {}
+    if not isinstance(known.get("epochs"), int) or "step" not in known:
+        return
+    step, last = parse_quantity(known["step"], "s"), known["epochs"] - 1
+    for t in times:
+        k = min(max(round(t / step), 0), last) if step > 0 else 0
+        if abs(t - k * step) > SAME_TIME:
+            raise InputError(
+                f"found a keyframe at {t:.15g} s, expected the time of an epoch, from 0 s to"
+                f" {last * step:.15g} s in steps of {step:.15g} s; the nearest is at"
+                f" {k * step:.15g} s"
+            )
+
+
 def at_keyframes(
-    name: str, table: Mapping[str, Any], time: Any, problems: Problems
+    name: str, table: Mapping[str, Any], time: Any, problems: Problems, simulated: bool
 ) -> dict[str, dict[str, Any]]:
     """The tables, by name, of the sensors that one table stands for: one for each of its
     `keyframes`, where it has them and its model a `keyframe`; else the table as it is.
 
-    time: the [time] of the scenario; `problems` collects what is wrong.
+    time: the [time] of the scenario; `problems` collects what is wrong; simulated: whether [time]
+    says what the epochs are, as nothing is recorded.
     """
     own = dict(table)
     try:
@@ -79,6 +96,8 @@ def at_keyframes(
         return {}
     try:
         times = _expanded(own.pop("keyframes"), time)
+        if simulated:
+            _check_in_pass(times, time)
     except InputError as error:
         problems.append((f"sensors.{name}.keyframes", str(error)))
         return {}

@@ -149,8 +149,10 @@ class Scenario:
         return measuring if self.map is None else self.map.given_to(measuring)
 
     def with_map(self, truth: Truth) -> Truth:
-        """A truth with the points of the map, where there is one, at all its times (N,)."""
-        return truth if self.map is None else with_statics(truth, self.map.values)
+        """A truth with the points of the map, where there is one, at all its times (N,); those that
+        it tells itself, as of a data set, stay."""
+        points = {} if self.map is None else self.map.values
+        return with_statics(truth, {n: X for n, X in points.items() if n not in truth.values})
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not

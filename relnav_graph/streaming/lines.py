@@ -61,7 +61,8 @@ Out goes a line for each epoch, and for each one that a late measurement improve
   is told of it depends on the prior), DEGRADED (the estimate is fed by less than it should be, or
   its residuals do not fit), LOST (not to be used). `message` says why. `estimate` is null where
   there is none.
-- `sigma` of an attitude are angles about the axes of its right-hand frame.
+- `sigma` of an attitude are angles about the axes of its right-hand frame; null where there is
+  none, as of the principal axes of two equal moments.
 - `rejected`: what was not used since the line before, and why; `id` null for all of a line,
   `sensor` null for a line that names none.
 - `cautions`: what leaves the status as it is, and must be known all the same, as

@@ -323,7 +323,7 @@ class Session:
         return line
 
     def _object(self, x: Array, P: Array) -> dict[str, Any]:
-        return estimate_object(self.problem.layout, self._derived, x, P)
+        return estimate_object(self.online.layout, self._derived, x, P)
 
     def _now(self, t: float, found: tuple[Array, Array]) -> dict[str, Any]:
         """The prediction to the newest time of arrival; inputs are held beyond their end."""

@@ -34,9 +34,9 @@ def _components(block: Block, value: Array) -> list[float]:
     return out
 
 
-def _sigmas(P: Array) -> list[float]:
-    out: list[float] = np.sqrt(np.diag(P)).tolist()
-    return out
+def _sigmas(P: Array) -> list[float | None]:
+    """Null where there is none, as of the axes of two equal moments."""
+    return [value if np.isfinite(value) else None for value in np.sqrt(np.diag(P)).tolist()]
 
 
 def estimate_object(

@@ -13,6 +13,7 @@ import xarray
 from map_tracks import IDS, POINTS, filtered, joint_covariance, smoothed, truth_of_map
 
 from relnav_graph.arrays import Array
+from relnav_graph.cli.main import main
 from relnav_graph.core.catalogue import POINT
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
@@ -21,6 +22,7 @@ from relnav_graph.io.netcdf import Variable, read_groups, write_groups
 from relnav_graph.io.results import read_results, write_results
 from relnav_graph.io.track_tables import write_csv
 from relnav_graph.io.truth import read_truth
+from relnav_graph.runs.passes import open_dataset
 
 FORMAT = ("relnav-graph results", 1)
 
@@ -184,3 +186,19 @@ def test_row_42_a_bad_truth_of_points_is_named(tmp_path: Path, text: str, words:
     with pytest.raises(InputError, match=r"truth_point\.csv") as caught:
         read_truth(tmp_path, {}, np.arange(3.0), "hand", (), {"point": POINT})
     assert words in str(caught.value)
+
+
+def test_a_data_set_brings_the_truth_of_its_map(tmp_path: Path) -> None:
+    spin = Path(__file__).parents[2] / "experiments" / "principal_spin.toml"
+    folder = str(tmp_path / "pass")
+    with pytest.raises(SystemExit, match="0"):
+        main(["simulate", str(spin), "--set", "time.epochs=5", "-o", folder])
+    rows = rows_of(tmp_path / "pass" / "truth_point.csv")
+    assert list(rows[0]) == ["id", "x_m", "y_m", "z_m"]
+    opened = open_dataset(tmp_path / "pass", ())
+    truth = opened.recording.truth
+    assert truth is not None
+    assert len(rows) == 20 == len([n for n in truth.values if n.startswith("point[")])
+    for line in rows:
+        X = [float(line[c]) for c in ("x_m", "y_m", "z_m")]
+        assert truth.values[f"point[{line['id']}]"][0].tolist() == X
