@@ -12,11 +12,11 @@ import numpy as np
 
 from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Track, estimates
+from relnav_graph.core.track import Innovations, Track, estimates
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, run_filter
 from relnav_graph.estimators.incremental import RATIO, IncrementalSmoother
 from relnav_graph.estimators.source import UNSOLVED
-from relnav_graph.estimators.trust import gave_up, judge
+from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import count_downweighted, count_rejected, lost
 from relnav_graph.linear.assembly import Assembly
 
@@ -47,7 +47,7 @@ class EkfBatchStart:
         epochs, whole = problem.epochs, Assembly.of(problem)
         x = np.full((len(epochs), layout.size), np.nan)
         P = np.full((len(epochs), layout.dim, layout.dim), np.nan)
-        weights, innovations = np.ones(whole.observations), {}
+        weights, innovations = np.ones(whole.observations), dict[str, Innovations]()
         smoother, count = IncrementalSmoother(problem, RATIO), self._epochs_of_batch(problem)
         try:
             for k, epoch in enumerate(epochs[:count]):
@@ -67,9 +67,8 @@ class EkfBatchStart:
             misfit, rows = 2 * batch.cost + float(done.nis.sum()), rows + int(done.used.sum())
             verdict = judge(lost(whole, weights), problem, misfit, rows)
             status, message = ("diverged", done.stopped) if done.stopped else verdict
-            found = {"status": status, "message": message}
         except UNSOLVED as error:
-            found = gave_up(problem, str(error))
+            status, message = "diverged", str(error)
         return Track(
             name=self.kind,
             kind="filtered",
@@ -77,12 +76,11 @@ class EkfBatchStart:
             **estimates(layout, x, P),
             runtime_s=time.perf_counter() - begun,
             step_s=np.array(seconds),
+            status=status,
+            message=message,
+            rejected=count_rejected(whole, weights),
+            downweighted=count_downweighted(whole, weights),
             innovations=innovations,
-            **{
-                "rejected": count_rejected(whole, weights),
-                "downweighted": count_downweighted(whole, weights),
-                **found,
-            },
         )
 
     def _epochs_of_batch(self, problem: Problem) -> int:
