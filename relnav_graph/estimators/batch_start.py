@@ -66,9 +66,10 @@ class EkfBatchStart:
             rows = int(whole.rows_of(weights > 0)[: whole.row_offsets[count]].sum())
             misfit, rows = 2 * batch.cost + float(done.nis.sum()), rows + int(done.used.sum())
             verdict = judge(lost(whole, weights), problem, misfit, rows)
-            status, message = ("diverged", done.stopped) if done.stopped else verdict
+            if done.stopped:
+                verdict = "diverged", done.stopped
         except UNSOLVED as error:
-            status, message = "diverged", str(error)
+            verdict = "diverged", str(error)
         return Track(
             name=self.kind,
             kind="filtered",
@@ -76,8 +77,8 @@ class EkfBatchStart:
             **estimates(layout, x, P),
             runtime_s=time.perf_counter() - begun,
             step_s=np.array(seconds),
-            status=status,
-            message=message,
+            status=verdict[0],
+            message=verdict[1],
             rejected=count_rejected(whole, weights),
             downweighted=count_downweighted(whole, weights),
             innovations=innovations,
