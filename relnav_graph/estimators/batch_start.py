@@ -93,7 +93,7 @@ class EkfBatchStart:
 
 @dataclass(frozen=True)
 class IteratedEkfBatchStart(EkfBatchStart):
-    """The same with the filter's updates iterated to convergence."""
+    """`ekf_batch_start` with the updates of its filter iterated to convergence."""
 
     kind: ClassVar[str] = "iekf_batch_start"
     iterations: int = ITERATIONS
