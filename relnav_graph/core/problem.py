@@ -78,7 +78,8 @@ class Problem:
 
     processes, sensors: models by name; gates: probability of the chi-square gate by
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
-    fixed-lag smoother and for late data online, s, None for a number of epochs; bridges: how
+    fixed-lag smoother, of the batch that a filter begins from, and for late data online, s, None
+    for their defaults; bridges: how
     gaps in inputs are bridged, by input, where they come online; merge: s, how close to an epoch
     is of it, online, 0 for equal times only; numbered: of each family of numbered blocks that the
     sensors read, the prior of one of them; known: those of them that are in the state whether they

@@ -94,7 +94,7 @@ class FilterSweep:
     @property
     def rejected(self) -> dict[str, int]:
         """Observations left out in the epochs reached, by sensor."""
-        return count_rejected(self.assembly, self._reached_weights)
+        return count_rejected(self.assembly, self.reached_weights)
 
     @property
     def left_out(self) -> dict[str, LeftOut]:
@@ -104,10 +104,11 @@ class FilterSweep:
     @property
     def downweighted(self) -> dict[str, int]:
         """Observations in the epochs reached that a robust loss lets count for less."""
-        return count_downweighted(self.assembly, self._reached_weights)
+        return count_downweighted(self.assembly, self.reached_weights)
 
     @property
-    def _reached_weights(self) -> Array:
+    def reached_weights(self) -> Array:
+        """The weights (observations,), 1 in the epochs that were not reached."""
         weights = self.weights.copy()
         weights[self.assembly.epoch_offsets[self.reached] :] = 1.0
         return weights
@@ -116,7 +117,7 @@ class FilterSweep:
         """Whether to trust what the filter found, by its innovations."""
         if self.stopped:
             return "diverged", self.stopped
-        away = lost(self.assembly, self._reached_weights)
+        away = lost(self.assembly, self.reached_weights)
         return judge(away, problem, float(self.nis.sum()), int(self.used.sum()))
 
     def innovations(self) -> dict[str, Innovations]:

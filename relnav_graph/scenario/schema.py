@@ -171,7 +171,8 @@ class SensorOptions(BaseModel):
 
 class OnlineSettings(BaseModel):
     """Settings of estimators that take one epoch at a time. window: length of the fixed-lag
-    smoother's window, and how late a measurement may come; by default 30 epochs."""
+    smoother's window, and how late a measurement may come; by default 30 epochs. Also of the batch
+    that `ekf_batch_start` begins with; by default 100 s."""
 
     model_config = _STRICT
 

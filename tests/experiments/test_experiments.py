@@ -70,6 +70,20 @@ def test_a_target_without_a_model_is_mapped_within_a_turn(
     assert rows["batch"]["states"]["relative_position"]["rmse"] < 0.1
 
 
+def test_a_mounting_is_told_with_the_map(capsys: pytest.CaptureFixture[str]) -> None:
+    """Half a degree and 5 cm off. Taken for known, it spoils the rest, and residuals are silent."""
+    arguments = (EXPERIMENTS / "mounting_map.toml", "--set", "time.epochs=301", "-e", "batch")
+    batch = _compare(capsys, *arguments)["batch"]
+    assert batch["status"] == "ok"
+    assert batch["anees"] < 2
+    assert 0.5 < batch["statics_anees"] < 1.6
+    assert batch["aligned"]["map_rmse_m"] < 0.004
+    assert batch["statics"]["camera_misalignment"]["rmse"] < 0.5
+    ignored = _compare(capsys, *arguments, "--set", "sensors.camera.mounting=known")["batch"]
+    assert ignored["status"] == "ok"
+    assert ignored["anees"] > 1000
+
+
 def test_zhang2015_at_full_size(capsys: pytest.CaptureFixture[str]) -> None:
     """A tumbling target of unknown rate and inertia: smoothing halves the position error
     of the best filter, and rate and inertia are found."""

@@ -134,6 +134,17 @@ def test_random_problems_leave_nothing_wrong_without_a_word(
         assert int(cautioned) <= 1
 
 
+def test_random_tumbles_reach_the_optimum(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["random_tumbles", "2", "2", "--epochs", "201"])
+    _script("random_tumbles").main()
+    *lines, total = capsys.readouterr().out.splitlines()
+    assert total == "2 of 2 reached the optimum"
+    assert [line.split(": ")[:2] for line in lines] == [["0", "reached"], ["1", "reached"]]
+    assert all(float(line.split(" sigma apart")[0].rsplit(" ", 1)[1]) < 1e-2 for line in lines)
+
+
 def test_every_script_is_run_here() -> None:
     here = Path(__file__).read_text("utf-8")
     for path in EXPERIMENTS.glob("*.py"):
