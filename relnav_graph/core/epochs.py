@@ -100,6 +100,20 @@ def check_epoch(
             raise InputError(f"{where}: found inputs over {length} s, expected {expected} s")
 
 
+def observation_data(name: str, sensor: Sensor, measurements: Sequence[Measurement]) -> Array:
+    """What a sensor's kernel needs to know of each of its observations (k, nq), one after the
+    other. Raises InputError, naming the time, on an id that the sensor does not know."""
+    try:
+        return sensor.observation_data(np.concatenate([m.ids for m in measurements]))
+    except InputError:
+        for m in measurements:
+            try:
+                sensor.observation_data(m.ids)
+            except InputError as error:
+                raise InputError(f"sensor {name!r} at t = {m.t} s: {error}") from error
+        raise
+
+
 def process_inputs(
     process: Dynamics, series: Mapping[str, InputSeries], t0: float, t1: float
 ) -> Array:

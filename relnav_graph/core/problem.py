@@ -166,9 +166,10 @@ class Problem:
         if not self.epochs:
             return ()
         start = self.cautions_from(self.epochs[0].t)
-        seen = {m.sensor for epoch in self.epochs for m in epoch.measurements}
-        measured = [sensor for name, sensor in self.sensors.items() if name in seen]
-        statics = [block.name for block in self.layout.statics]
+        taken = [m for epoch in self.epochs for m in epoch.measurements if len(m.ids)]
+        measured = [self.sensors[name] for name in dict.fromkeys(m.sensor for m in taken)]
+        points = first_seen(self.sensors, taken)
+        statics = [block.name for block in self.layout.statics if block not in points]
         untold = untold_cautions(statics, self.processes.values(), measured)
         return start + interval_cautions(self.times) + gap_cautions(self.bridged) + untold
 

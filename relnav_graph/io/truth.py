@@ -177,7 +177,8 @@ def _members(table: Table, block: Block) -> dict[str, Array]:
     columns = component_columns(block)
     table.require(("id", *columns))
     ids = table["id"]
-    table.refuse((ids < 0) | (ids != np.round(ids)), "id", "a number of a block, 0 or more")
+    whole = (ids >= 0) & (ids < 2.0**53) & (ids == np.rint(ids))
+    table.refuse(~whole, "id", "a number of a block, 0 or more, below 2^53")
     first = np.unique(ids, return_index=True)[1]
     table.refuse(~np.isin(np.arange(len(ids)), first), "id", "each number once")
     rows = table.stack(columns)

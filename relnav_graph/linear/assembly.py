@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import DEGENERATE, dynamics_address, sensor_address
 from relnav_graph.core.contracts import Dynamics, Sensor
-from relnav_graph.core.epochs import Epoch, check_epoch
+from relnav_graph.core.epochs import Epoch, check_epoch, observation_data
 from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
@@ -168,7 +168,7 @@ class Assembly:
             except InputError as error:
                 raise InputError(f"sensor {name!r}: {error}") from error
             noise = np.concatenate([measurement_noise(name, sensor, m) for m in ms])
-            data = sensor.observation_data(self.ids[own]), z
+            data = observation_data(name, sensor, ms), z
             where = f"sensor {name!r}"
             whiten = inverse_cholesky(where, raised(where, noise, z))
             for column, values in zip((Q_DATA, Z_DATA), data, strict=True):

@@ -24,6 +24,11 @@ def _prior_sigma(block: Block, value: Any) -> Array:
         sigma = Quantity(block.unit, (block.dim,), positive=True).parse(value)
     else:
         sigma = np.full(block.dim, Quantity(block.unit, positive=True).parse(value))
+    least, most = np.sqrt(np.finfo(np.float64).tiny), np.sqrt(np.finfo(np.float64).max)
+    for one in np.asarray(sigma):
+        if not least < one < most:  # nor would its square be a variance
+            between = f"expected one from {least:.0e} to {most:.0e}"
+            raise InputError(f"found {one:g} {block.unit}, {between} {block.unit}")
     return np.asarray(sigma)
 
 

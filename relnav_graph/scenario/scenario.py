@@ -15,7 +15,7 @@ from relnav_graph.core.contracts import CopiesBlocks, Dynamics, Mountable, Senso
 from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
 from relnav_graph.core.epochs import Epoch, make_epochs
 from relnav_graph.core.measurement import SAME_TIME, Bridge
-from relnav_graph.core.numbered import families, first_seen
+from relnav_graph.core.numbered import families, first_seen, number_in
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording, Truth
@@ -149,10 +149,12 @@ class Scenario:
         return measuring if self.map is None else self.map.given_to(measuring)
 
     def with_map(self, truth: Truth) -> Truth:
-        """A truth with the points of the map, where there is one, at all its times (N,); those that
-        it tells itself, as of a data set, stay."""
-        points = {} if self.map is None else self.map.values
-        return with_statics(truth, {n: X for n, X in points.items() if n not in truth.values})
+        """A truth with the points of the map, where there is one, at all its times (N,). One that
+        has a map itself, as of a data set, keeps it as it is: the other may be of another target,
+        in other axes, or with other ids."""
+        if self.map is None or any(number_in(name)[1] is not None for name in truth.values):
+            return truth
+        return with_statics(truth, self.map.values)
 
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not

@@ -75,10 +75,13 @@ class _Listed(BaseModel):
     normals: Annotated[Any, Quantity("1", (None, 3))] | None = None
 
     def made(self) -> TrueMap:
-        """The map. Raises InputError on normals that are not one for each point."""
+        """The map. Raises InputError on normals that are not one direction for each point."""
         if self.normals is not None and len(self.normals) != len(self.points):
             found = f"found {len(self.normals)} normals for {len(self.points)} points"
             raise InputError(f"{found}, expected one for each")
+        for k, normal in enumerate(() if self.normals is None else self.normals):
+            if not np.linalg.norm(normal) > 0:
+                raise InputError(f"found normals[{k}] of length zero, expected a direction")
         return TrueMap(self.points, self.normals)
 
 
@@ -124,6 +127,9 @@ def true_map(
     try:
         if isinstance(table, Mapping) and "points" not in table:
             return _Generated.model_validate(table).made()
+        if isinstance(table, Mapping) and (both := set(table) & set(_Generated.model_fields)):
+            more = f"found points and {', '.join(sorted(both))}"
+            raise InputError(f"{more}, expected a map that is listed, or one that is generated")
         return _Listed.model_validate(table).made()
     except ValidationError as error:
         problems += from_pydantic("truth.map", error)

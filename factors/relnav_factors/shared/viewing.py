@@ -38,7 +38,8 @@ class LimitedView(PlacedSensor):
         field, limits = self.field_of_view, self.range
         if field is not None and (len(field) not in (1, 2) or field.max() > 2 * np.pi):
             found = f"found {np.degrees(field).tolist()} deg"
-            raise InputError(f"{self.kind}.field_of_view: {found}, expected one or two full angles")
+            expected = "one or two full angles of at most 360 deg"
+            raise InputError(f"{self.kind}.field_of_view: {found}, expected {expected}")
         if limits is not None and not limits[0] < limits[1]:
             raise InputError(
                 f"{self.kind}.range: found {limits.tolist()} m, expected the nearer end first"
