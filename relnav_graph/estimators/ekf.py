@@ -99,7 +99,7 @@ class FilterSweep:
     @property
     def left_out(self) -> dict[str, LeftOut]:
         """The same observations, of each sensor that has any."""
-        return left_out(self.assembly, self._reached_weights)
+        return left_out(self.assembly, self.reached_weights)
 
     @property
     def downweighted(self) -> dict[str, int]:
