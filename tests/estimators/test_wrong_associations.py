@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from passes import EXPERIMENTS
 
 from relnav_graph import run_estimator
 from relnav_graph.core.measurement import Measurement
@@ -15,7 +16,6 @@ from relnav_graph.io.results import read_results, write_results
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.alignment import aligned
 from relnav_graph.scoring.metrics import summary
-from tests.support.fuzzing import EXPERIMENTS
 
 SHORT = ["time.epochs=60", "truth.map.count=20", "sensors.camera.gate=0.999"]
 
