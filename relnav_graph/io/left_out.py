@@ -6,7 +6,6 @@ import csv
 import json
 import os
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ def left_out_variables(found: Mapping[str, LeftOut]) -> dict[str, Variable]:
     if not found:
         return {}
     over, each = ("left_out",), list(found.values())
-    sensor: Any = np.repeat(np.arange(len(each)), [len(one.t) for one in each])
+    sensor = np.repeat(np.arange(len(each), dtype=np.float64), [len(one.t) for one in each])
     what = "observation not used: number of its sensor, in the order of `sensors`"
     return {
         _SENSOR: Variable(over, sensor, {"long_name": what, "sensors": json.dumps(list(found))}),
