@@ -87,8 +87,9 @@ class Problem:
     numbered blocks that are measured, in order of first sight; a prior that does not tell of just
     these is completed. Raises ModelError when no process advances any block, or two advance one,
     InputError when times do not increase, a sensor is unknown, two models have different orbits, a
-    name is none (`relnav_graph.files.check_name`), numbered blocks have no prior, or there is no
-    epoch to copy.
+    name is none (`relnav_graph.files.check_name`), `numbered` is not of just the families that the
+    sensors read, with the sizes of their blocks, or `known` not of numbered ones of these, an id of
+    one is below zero, or there is no epoch to copy.
     """
 
     processes: Mapping[str, Dynamics]
