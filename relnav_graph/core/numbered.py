@@ -11,6 +11,7 @@ from typing import Any
 from relnav_graph.core.contracts import ReadsNumbered, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
+from relnav_graph.errors import InputError
 
 __all__ = [
     "families",
@@ -39,12 +40,16 @@ def families(sensors: Mapping[str, Sensor]) -> dict[str, Block]:
 def first_seen(
     sensors: Mapping[str, Sensor], measurements: Iterable[Measurement]
 ) -> tuple[Block, ...]:
-    """The numbered blocks that measurements are of, in order of first sight."""
+    """The numbered blocks that measurements are of, in order of first sight. Raises InputError,
+    naming sensor and time, on an id below zero."""
     out: dict[Block, None] = {}
     own = {name: numbered_of(sensor) for name, sensor in sensors.items()}
     for m in measurements:
         block = own.get(m.sensor)
         if block is not None:
+            if (m.ids < 0).any():
+                found = f"found id {m.ids.min()}, expected zero or more"
+                raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {found}")
             out.update(dict.fromkeys(block.numbered(int(i)) for i in m.ids))
     return tuple(out)
 

@@ -88,8 +88,9 @@ class Problem:
     numbered blocks that are measured, in order of first sight; a prior that does not tell of just
     these is completed. Raises ModelError when no process advances any block, or two advance one,
     InputError when times do not increase, a sensor is unknown, two models have different orbits, a
-    name is none (`relnav_graph.files.check_name`), numbered blocks have no prior, or there is no
-    epoch to copy.
+    name is none (`relnav_graph.files.check_name`), `numbered` is not of just the families that the
+    sensors read, with the sizes of their blocks, or `known` not of numbered ones of these, an id of
+    one is below zero, or there is no epoch to copy.
     """
 
     processes: Mapping[str, Dynamics]
@@ -117,6 +118,11 @@ class Problem:
                     raise InputError(f"{name}: unknown sensor {sensor!r}")
         object.__setattr__(self, "epochs", copied(self.epochs, self.sensors, self.merge))
         measured = first_seen(self.sensors, (m for e in self.epochs for m in e.measurements))
+        own = families(self.sensors)
+        for block in self.known:
+            if not isinstance(block, Block) or block.number is None or block.family not in own:
+                found = block.name if isinstance(block, Block) else repr(block)
+                raise InputError(f"known: found {found}, expected numbered blocks that are read")
         seen = tuple(dict.fromkeys((*self.known, *measured)))
         layout = layout_of(self.processes, self.sensors)
         object.__setattr__(self, "layout", Layout(layout.moving, (*layout.statics, *seen)))
@@ -146,14 +152,23 @@ class Problem:
 
     def _check_numbered(self) -> None:
         """Raise InputError unless each family of numbered blocks has a prior of its size."""
-        for name, block in families(self.sensors).items():
-            prior = self.numbered.get(name)
-            if prior is None or prior.x.shape != (block.size,):
-                found = "none" if prior is None else f"x of {prior.x.shape}"
-                raise InputError(
-                    f"prior of {name}: found {found}, expected x ({block.size},) and P for each of"
-                    " these static blocks"
-                )
+        own = families(self.sensors)
+        for name in self.numbered:
+            if name not in own:
+                known = ", ".join(own) or "none"
+                raise InputError(f"numbered: found {name!r}, expected families read: {known}")
+        for name, block in own.items():
+            prior, n = self.numbered.get(name), block.dim
+            if not isinstance(prior, Prior):
+                found = "none" if prior is None else repr(prior)
+            elif prior.x.shape != (block.size,) or prior.P.shape != (n, n):
+                found = f"x of {prior.x.shape} and P of {prior.P.shape}"
+            else:
+                continue
+            raise InputError(
+                f"prior of {name}: found {found}, expected x ({block.size},) and P ({n}, {n}) for"
+                " each of these static blocks"
+            )
 
     @property
     def times(self) -> Array:

@@ -65,7 +65,12 @@ class Block:
         unit_scale(self.table_unit, self.unit)
 
     def numbered(self, number: int) -> Block:
-        """The block ``name[number]`` of the family of which this one tells all but the number."""
+        """The block ``name[number]`` of the family of which this one tells all but the number.
+
+        Raises InputError on a number below zero, and when this one has a number itself.
+        """
+        if number < 0 or self.number is not None:
+            raise InputError(f"{self.name}[{number}]: found, expected one number, zero or more")
         return replace(
             self,
             name=f"{self.name}[{number}]",

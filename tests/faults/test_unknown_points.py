@@ -5,11 +5,16 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from passes import EXPERIMENTS
 
+from relnav_graph.core.catalogue import BODY_RATE, POINT
+from relnav_graph.core.problem import Prior
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.dataset import write_dataset
@@ -47,13 +52,56 @@ def test_row_56_where_no_point_was_ever_seen_the_inertia_is_never_seen() -> None
     assert found.summary["estimators"]["batch"]["status"] == "ok"
 
 
+@pytest.mark.parametrize(
+    ("numbered", "says"),
+    [
+        ({}, r"prior of point: found none"),
+        ({"point": Prior(np.zeros(2), np.eye(2))}, r"found x of \(2,\) and P of \(2, 2\)"),
+        ({"point": Prior(np.zeros(3), np.eye(2))}, r"P of \(2, 2\), expected .* P \(3, 3\)"),
+        ({"point": 3}, r"prior of point: found 3"),
+        ({"point": Prior(np.zeros(3), np.eye(3)), "pint": 3}, r"numbered: found 'pint'"),
+    ],
+)
+def test_row_56_priors_of_numbered_blocks_are_of_these(numbered: Any, says: str) -> None:
+    """Also where the prior of the whole tells of all of them already."""
+    problem = open_pass(INSPECTION, assignments=SHORT).problem
+    with pytest.raises(InputError, match=says):
+        replace(problem, numbered=numbered)
+
+
+@pytest.mark.parametrize("known", [POINT, "point[3]", BODY_RATE, BODY_RATE.numbered(2)])
+def test_row_25_blocks_known_beforehand_are_numbered_ones(known: Any) -> None:
+    problem = open_pass(INSPECTION, assignments=SHORT).problem
+    with pytest.raises(InputError, match=r"known: found .* expected numbered blocks that are read"):
+        replace(problem, known=(known,))
+
+
+def test_row_25_a_numbered_block_has_one_number_of_zero_or_more() -> None:
+    for block, number in ((POINT, -1), (POINT.numbered(1), 2)):
+        with pytest.raises(InputError, match="expected one number, zero or more"):
+            block.numbered(number)
+
+
 def test_row_57_an_id_below_zero_is_refused_by_sensor_and_time(tmp_path: Path) -> None:
     def negative(text: str) -> str:
         return re.sub(r"^5\.0,\d+,", "5.0,-3,", text, count=1, flags=re.M)
 
-    says = r"sensor 'camera' at t = 5\.0 s: stereo_point: found id -3, expected zero or more"
+    says = r"sensor 'camera' at t = 5\.0 s: found id -3, expected zero or more"
     with pytest.raises(InputError, match=says):
-        run_estimator("ekf", recorded(tmp_path, "camera.csv", negative).problem)
+        _ = recorded(tmp_path, "camera.csv", negative).problem
+
+
+def test_row_25_an_id_without_a_known_point_is_refused_by_sensor_and_time(tmp_path: Path) -> None:
+    def other(text: str) -> str:
+        return re.sub(r"^5\.0,\d+,", "5.0,70,", text, count=1, flags=re.M)
+
+    scenario, taken = load_scenario(INSPECTION, SHORT), recorded(tmp_path, "camera.csv", other)
+    size, dim = scenario.layout.size, scenario.layout.dim
+    prior = Prior(taken.problem.prior.x[:size], taken.problem.prior.P[:dim, :dim])
+    problem = replace(taken.problem, sensors=scenario.true_sensors, prior=prior, numbered={})
+    says = r"sensor 'camera' at t = 5\.0 s: stereo_point: found id 70, expected 0 to 7"
+    with pytest.raises(InputError, match=says):
+        run_estimator("ekf", problem)
 
 
 @pytest.mark.parametrize("number", ["9007199254740993", "1e30"])
