@@ -32,8 +32,8 @@ from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
-from relnav_graph.estimators.first_sights import names_of, unseen
-from relnav_graph.estimators.gauss_newton import Solution, is_small
+from relnav_graph.estimators.first_sights import has_map, names_of, unseen
+from relnav_graph.estimators.gauss_newton import Solution, is_small, solve_gated
 from relnav_graph.estimators.parts import in_order
 from relnav_graph.estimators.second_look import second_look
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
@@ -131,12 +131,8 @@ class ISAM2Smoother:
     def advance(
         self, state: TreeState, epoch: Epoch, assembly: Assembly | None = None
     ) -> TreeState:
-        """The state with one more epoch.
-
-        assembly: of this epoch, where the caller has it already. Raises EstimationError when the
-        state cannot be propagated or updated, is not determined or not finite, or the history is
-        too long for the stack.
-        """
+        """The state with one more epoch; assembly: of this, where the caller has it already. Raises
+        EstimationError when there is none, or the history is too long for the stack."""
         check_depth(state.count + 1)
         layout, models = self.problem.layout, (self.problem.processes, self.problem.sensors)
         if assembly is None:
@@ -245,6 +241,9 @@ class ISAM2Smoother:
                     break
             return x
 
+        if has_map(problem.layout) and not given:  # undamped steps may lose a map that is new
+            begun = solve_gated(assembly, problem, start, weights, tolerance)
+            start, weights = begun.x, begun.weights
         reweighted(problem, assembly, start, weights, solve)
         part, tree, distance = found
         x, P = tree.newest(s.count - 1, part.x)
@@ -302,8 +301,8 @@ class ISAM2Smoother:
                 f" {state.count} epochs, from 0 on"
             )
         tree = self._tree(state)
-        start = self.keys.trajectory(tree.best(), state.count)
-        after, tree, assembly, distance = self._relinearized(state, tree, CONVERGED, LAST, start)
+        begin = self.keys.trajectory(tree.best(), state.count)
+        after, tree, assembly, distance = self._relinearized(state, tree, CONVERGED, LAST, begin)
         assert after.last is not None
         whole, values = after.last, tree.best()
         problem = replace(self.problem, epochs=whole.epochs)
