@@ -9,9 +9,11 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
+from relnav_graph.estimators.first_sights import QUARTER, has_map, turned
 from relnav_graph.estimators.online.engine import Engine
 from relnav_graph.estimators.online.monitor import caution
 from relnav_graph.estimators.source import Source
@@ -75,7 +77,19 @@ def run_estimator(kind: str, problem: Problem, extra: Any = None) -> Track:
     # A filter that diverges overflows before its status says so.
     with threadpool_limits(1, "blas"), np.errstate(over="ignore", invalid="ignore"):
         track: Track = estimator.run(problem, **more)
-    return track if track.status != "ok" else _cautious(track, problem)
+    return track if track.status != "ok" else _initialising(_cautious(track, problem), problem)
+
+
+def _initialising(track: Track, problem: Problem) -> Track:
+    """The track, with a caution where a map was not seen from enough sides to be one."""
+    layout = problem.layout
+    by = float(turned(layout, track.states)[-1]) if has_map(layout) else QUARTER
+    if not by < QUARTER:
+        return track
+    text = f"the target has turned by {np.rad2deg(by):.0f} of 90 deg: the prior counts for much"
+    doubt = (Caution("initialising", text),)
+    ahead = track.smoothed and replace(track.smoothed, cautions=track.smoothed.cautions + doubt)
+    return replace(track, cautions=track.cautions + doubt, smoothed=ahead)
 
 
 def _cautious(track: Track, problem: Problem) -> Track:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -96,6 +97,13 @@ def test_estimators_agree(problem: Problem, batch: Track) -> None:
         assert track.smoothed is not None
         if kind != "fixed_lag":
             assert _far(batch, track.smoothed, 0) < 1e-3, kind
+
+
+def test_a_pass_of_less_than_a_quarter_turn_is_doubted(problem: Problem, batch: Track) -> None:
+    short = run_estimator("iekf", replace(problem, epochs=problem.epochs[:5]))
+    assert [c.name for c in short.cautions] == ["initialising"]
+    assert re.match(r"the target has turned by \d+ of 90 deg", short.cautions[0].text)
+    assert batch.cautions == ()  # 40 s of 2.5 deg/s
 
 
 def test_the_graph_of_gtsam_has_the_same_optimum(problem: Problem, batch: Track) -> None:
