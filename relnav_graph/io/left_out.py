@@ -58,7 +58,9 @@ def stored_left_out(where: str, group: Group) -> dict[str, LeftOut]:
 
 def write_left_out(folder: str | os.PathLike[str], tracks: Mapping[str, Track]) -> None:
     """Write ``left_out.csv``: estimator, sensor, time, s, and id of each observation that a track
-    was made without. Raises InputError when it cannot be written."""
+    was made without; no file where there is none. Raises InputError when it cannot be written."""
+    if not any(track.left_out for track in tracks.values()):
+        return
     with (
         atomic(file_in(folder, "left_out.csv")) as staged,
         staged.open("w", encoding="utf-8", newline="") as stream,

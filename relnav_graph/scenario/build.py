@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from relnav_graph.arrays import Array
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
+from relnav_graph.core.catalogue import POINT
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
 from relnav_graph.core.copies import with_copiers
 from relnav_graph.core.measurement import Bridge
@@ -54,6 +55,10 @@ __all__ = [
     "load_scenario",
     "make_scenario",
 ]
+
+
+#: How the names of blocks end that a sensor has of its own: how it is mounted.
+MOUNTED = ("_misalignment", "_displacement")
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
@@ -230,12 +235,12 @@ def make_scenario(
         priors = copy_priors(sensors, layout) | file.prior
         file = file.model_copy(update={"prior": priors})
         told, numbered = file.truth or {}, families(sensors)
-        if any(path.startswith("sensors.") for path, _ in problems) or (
-            waiting and len(made["sensors"]) < len(file.sensors)
-        ):
+        wrong = any(path.startswith("sensors.") for path, _ in problems)
+        if wrong or (waiting and len(made["sensors"]) < len(file.sensors)):
             # What a sensor reads that is wrong, or waits for the data, is not known: one error, not
             # one for each block.
-            check_prior(layout, file, problems, numbered, file.prior)
+            spared = {n for n in file.prior if not wrong or n == POINT.name or n.endswith(MOUNTED)}
+            check_prior(layout, file, problems, numbered, {*spared, *(b.name for b in every)})
         else:
             check_prior(layout, file, problems, numbered, every)
             statics = true_statics(every, told.get("statics", {}), problems)
