@@ -197,7 +197,7 @@ def filter_epochs(
     n, most = Pk.shape[0], 0
     for k in range(begin, end):
         most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
-    squares, here = np.zeros(most), np.zeros(n)
+    squares, here, every = np.zeros(most), np.zeros(n), np.arange(n)
     for k in range(begin, end):
         give_way(0)
         for j in range(n):
@@ -225,12 +225,11 @@ def filter_epochs(
         if last > first:
             own_losses, own_weight = losses[first:last], weight[first:last]
             own_squares = squares[: last - first]
-            own, own_kinds = _read(tables, kinds, n, Q.shape[1], first, last)
+            own, own_kinds, P_own, there, before = every, kinds, Pk, here, xk
+            if Q.shape[1] < n:
+                own, own_kinds = _read(tables, kinds, n, Q.shape[1], first, last)
+                P_own, there, before = dense.part_of(Pk, own), here[own], xk.copy()
             few = own.shape[0] < n
-            P_own = dense.part_of(Pk, own) if few else Pk
-            before, there = xk.copy(), np.empty(own.shape[0])
-            for j in range(own.shape[0]):
-                there[j] = here[own[j]]
             _measured_epoch(
                 tables,
                 own_kinds,
@@ -273,6 +272,8 @@ def filter_epochs(
                 d = local(before, xk, own_kinds, own.shape[0])
                 if not update_others(own, d, own_kinds, P_own, kinds, xk, Pk):
                     failure[0] = NOT_POSITIVE
+            elif Q.shape[1] < n:
+                copy(P_own, Pk)
             if failure[0] != 0:
                 return
         dense.put_vector(x[k], 0, xk)
@@ -291,8 +292,6 @@ def _read(
 ) -> tuple[Indices, Indices]:
     """The columns of all blocks that move, `moving` of n, and of the static ones that observations
     first to last - 1 read; and the kinds of these blocks, with their places among these columns."""
-    if moving == n:
-        return np.arange(n), kinds
     read = np.zeros(n, np.int64)
     read[:moving] = 1
     for o in range(first, last):
