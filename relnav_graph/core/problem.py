@@ -33,6 +33,7 @@ from relnav_graph.maths.losses import Loss
 __all__ = [
     "Prior",
     "Problem",
+    "lengthened",
     "padded",
 ]
 
@@ -217,6 +218,12 @@ def completed(
         np.concatenate([prior.x[: layout.size], *(one.x for one in own)]),
         block_diag(known, *(one.P for one in own)),
     )
+
+
+def lengthened(prior: Prior, x: Array) -> Array:
+    """A trajectory x (N, s) of the first blocks of a prior, with the prior's mean of the blocks
+    after these in each row, (N, size)."""
+    return np.hstack([x, np.tile(prior.x[x.shape[1] :], (len(x), 1))])
 
 
 def padded(prior: Prior, x: Array, P: Array) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from relnav_graph.core.cautions import Caution
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError, InputError, ModelError
-from relnav_graph.estimators.first_sights import QUARTER, has_map, turned
+from relnav_graph.estimators.first_sights import few_sides, has_map, turned
 from relnav_graph.estimators.online.engine import Engine
 from relnav_graph.estimators.online.monitor import caution
 from relnav_graph.estimators.source import Source
@@ -83,11 +83,10 @@ def run_estimator(kind: str, problem: Problem, extra: Any = None) -> Track:
 def _initialising(track: Track, problem: Problem) -> Track:
     """The track, with a caution where a map was not seen from enough sides to be one."""
     layout = problem.layout
-    by = float(turned(layout, track.states)[-1]) if has_map(layout) else QUARTER
-    if not by < QUARTER:
+    text = few_sides(float(turned(layout, track.states)[-1])) if has_map(layout) else ""
+    if not text:
         return track
-    text = f"the target has turned by {np.rad2deg(by):.0f} of 90 deg: the prior counts for much"
-    doubt = (Caution("initialising", text),)
+    doubt = (Caution("initialising", f"{text}: the prior counts for much"),)
     ahead = track.smoothed and replace(track.smoothed, cautions=track.smoothed.cautions + doubt)
     return replace(track, cautions=track.cautions + doubt, smoothed=ahead)
 

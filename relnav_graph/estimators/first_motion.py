@@ -29,9 +29,9 @@ from relnav_graph.core.contracts import ReadsNumbered
 from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Block, Layout
-from relnav_graph.estimators.first_sights import sights_in
+from relnav_graph.estimators.first_sights import measured, sights_in
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.tables import EPOCH, OWN_PLACE, Z_DATA
+from relnav_graph.linear.tables import EPOCH, OWN_PLACE
 
 __all__ = ["begun", "motions", "tells_no_depth", "worth_a_search"]
 
@@ -89,11 +89,10 @@ def _lines(assembly: Assembly, x: Array) -> tuple[Indices, Array, Array]:
         epochs = np.unique(tables.observations[seen, EPOCH])
         for k in epochs[:: -(-len(epochs) // TAKEN) or 1]:
             own = seen[tables.observations[seen, EPOCH] == k]
-            rows = tables.observations[own]
-            z = np.array([tables.numbers[slice(*row[Z_DATA : Z_DATA + 2])] for row in rows])
+            z = measured(assembly, own)
             states = [[layout.value(one, b.name) for b in sensor.reads] for one in x[k]]
             found = [sensor.sights(assembly.ids[own], z, *values) for values in states]
-            places.append(rows[:, OWN_PLACE])
+            places.append(tables.observations[own, OWN_PLACE])
             origins.append(np.array([o for o, _ in found]))
             lines.append(np.array([line for _, line in found]))
     return np.concatenate(places), np.concatenate(origins, axis=1), np.concatenate(lines, axis=1)

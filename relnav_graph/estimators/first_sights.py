@@ -20,12 +20,15 @@ from relnav_graph.linear.tables import EPOCH, NUMBERED, OWN_COLUMN, Z_DATA
 
 __all__ = [
     "QUARTER",
+    "few_sides",
     "first_epochs",
     "first_sights",
     "has_map",
+    "measured",
     "names_of",
     "sights_in",
     "turned",
+    "turned_between",
     "unseen",
 ]
 
@@ -86,6 +89,22 @@ def turned(layout: Layout, x: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
+def turned_between(layout: Layout, before: Array, after: Array) -> float:
+    """By how much the target has turned from one state (size,) to another, rad; see `turned`."""
+    return float(turned(layout, np.stack([before, after]))[1])
+
+
+def few_sides(by: float) -> str:
+    """Why a map is not to be trusted yet, by how much the target has turned, rad; or ""."""
+    return "" if by >= QUARTER else f"the target has turned by {np.rad2deg(by):.0f} of 90 deg"
+
+
+def measured(assembly: Assembly, own: Indices) -> Array:
+    """What some observations of one sensor measured, z (k, nz)."""
+    spans = assembly.tables.observations[own, Z_DATA : Z_DATA + 2]
+    return np.array([assembly.tables.numbers[begin:end] for begin, end in spans])
+
+
 def first_sights(assembly: Assembly, x: Array, P: Array) -> Array:
     """The step (dim,) from the state predicted to the only epoch of an assembly to one with the
     numbered blocks that are seen there, and were not seen before, where they are seen.
@@ -107,11 +126,8 @@ def first_sights(assembly: Assembly, x: Array, P: Array) -> Array:
         block, own = numbered_of(sensor), new[assembly.sensor_of[new] == which]
         if block is None or not isinstance(sensor, ReadsNumbered) or not len(own):
             continue
-        z = np.array(
-            [tables.numbers[slice(*tables.observations[i, Z_DATA : Z_DATA + 2])] for i in own]
-        )
         values = (layout.value(x, b.name) for b in sensor.reads)
-        origins, lines = sensor.sights(assembly.ids[own], z, *values)
+        origins, lines = sensor.sights(assembly.ids[own], measured(assembly, own), *values)
         found = origins + lines
         if not sensor.sees_depth:  # as near to the centre of mass as the line gets
             found = origins - lines * (origins * lines).sum(axis=1, keepdims=True)

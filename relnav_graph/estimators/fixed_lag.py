@@ -29,11 +29,11 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.packing import pack, under, unpack
-from relnav_graph.core.problem import Problem, padded
+from relnav_graph.core.problem import Problem, lengthened, padded
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, filter_step
-from relnav_graph.estimators.first_sights import has_map, turned
+from relnav_graph.estimators.first_sights import has_map, turned_between
 from relnav_graph.estimators.gauss_newton import Solution, solve_gated
 from relnav_graph.estimators.incremental import RATIO, IncrementalSmoother
 from relnav_graph.estimators.source import UNSOLVED, RecordedSource, Source, drive
@@ -121,14 +121,14 @@ class FixedLagEngine:
         smoother = IncrementalSmoother(self.problem, RATIO)
         begun = smoother.advance(state.begun or smoother.begin(), epoch, assembly)
         assert begun.done is not None
-        steps = np.stack([begun.x if state.t is None else state.x, begun.x])
+        before = begun.x if state.t is None else state.x
         window = Window(
             *(epoch.t, state.anchor, begun.x, begun.P),
             epochs=(*state.epochs, epoch),
             parts=(*state.parts, assembly),
             weights=(*state.weights, begun.done.weights),
             done=begun.done,
-            turned=state.turned + float(turned(self.problem.layout, steps)[1]),
+            turned=state.turned + turned_between(self.problem.layout, before, begun.x),
             begun=begun,
         )
         return window if window.turned < BEGUN else self._without_old(self.whole(window))
@@ -238,8 +238,7 @@ class FixedLagEngine:
             smoother = IncrementalSmoother(self.problem, RATIO)
             return replace(window, begun=smoother.grown(state.begun, smoother))
         assert state.chain is not None
-        at = state.chain.estimates(before.problem.layout)
-        at = np.hstack([at, np.tile(prior.x[at.shape[1] :], (len(at), 1))])
+        at = lengthened(prior, state.chain.estimates(before.problem.layout))
         return replace(window, chain=linearized(replace(window, chain=None), at))
 
     def save(self, state: Window) -> dict[str, Array]:

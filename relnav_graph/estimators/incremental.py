@@ -29,7 +29,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.problem import Problem
+from relnav_graph.core.problem import Problem, lengthened
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
@@ -195,14 +195,18 @@ class IncrementalSmoother:
             out.append(layout.retract(part.x, part.conditionals.solution(end))[:-1])
         return np.concatenate(out[::-1])
 
+    def _gathered(self, s: SmootherState, parts: list[_Part]) -> tuple[Assembly, Array, Array]:
+        """Epochs, weights (observations,) and present estimate (K, size) of the newest parts."""
+        assembly = Assembly.join([part.assembly for part in parts])
+        weights = np.concatenate([part.weights for part in parts])
+        return assembly, weights, self._trajectory(s, parts)
+
     def _compacted(self, s: SmootherState) -> SmootherState:
         """The state with its newest epochs as one part, relinearised among themselves."""
         parts = s.parts(s.singles)
         before = parts[0].before
         assert before is not None
-        assembly = Assembly.join([part.assembly for part in parts])
-        weights = np.concatenate([part.weights for part in parts])
-        x = self._trajectory(s, parts)
+        assembly, weights, x = self._gathered(s, parts)
         solution = solve(assembly.preceded(), before.anchor, x, weights, tolerance=0.1)
         last = _Part(before, assembly, weights, solution.x, solution.conditionals)
         return replace(self._moved(s, last, np.zeros(self.problem.layout.dim)), singles=0)
@@ -288,12 +292,8 @@ class IncrementalSmoother:
             return self.begin()
         problem, parts = self.problem, state.parts()
         layout, prior = problem.layout, problem.prior
-        assembly = Assembly.join([part.assembly for part in parts]).within(layout)
-        weights, x = (
-            np.concatenate([part.weights for part in parts]),
-            self._trajectory(state, parts),
-        )
-        x = np.hstack([x, np.tile(prior.x[x.shape[1] :], (len(x), 1))])
+        assembly, weights, x = self._gathered(state, parts)
+        assembly, x = assembly.within(layout), lengthened(prior, x)
         system = linearize(assembly, anchor_of(prior), x, assembly.whitening(x[:-1]), weights)
         last = _Part(None, assembly, weights, x, system.conditionals)
         return replace(self._moved(state, last, last.conditionals.solution()[-1]), singles=0)

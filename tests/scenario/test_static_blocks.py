@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from passes import EXPERIMENTS
+from passes import EXPERIMENTS, changed_tables
 
 from relnav_graph.errors import InputError
 from relnav_graph.io.dataset import read_dataset, write_dataset
@@ -27,14 +26,7 @@ OFF = so3.exp(np.radians([0.3, -0.3, 0.26]))
 
 def raw(*path: str, value: Any = None) -> dict[str, Any]:
     """The tables of mounting.toml with one of them changed; None: taken out."""
-    tables: dict[str, Any] = copy.deepcopy(dict(load_scenario(MOUNTING, SHORT).raw))
-    at = tables
-    for key in path[:-1]:
-        at = at.setdefault(key, {})
-    at.pop(path[-1], None)
-    if value is not None:
-        at[path[-1]] = value
-    return tables
+    return changed_tables(load_scenario(MOUNTING, SHORT).raw, *path, value=value)
 
 
 def test_what_is_read_and_not_advanced_is_static() -> None:

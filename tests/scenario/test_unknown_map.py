@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from passes import EXPERIMENTS
+from passes import EXPERIMENTS, changed_tables
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import Measurement
@@ -29,14 +28,7 @@ POINTS = [[0.5, 0.5, 0.0], [-0.5, 0.5, 0.1], [0.0, -0.5, 0.2]]
 
 def raw(*path: str, value: Any = None) -> dict[str, Any]:
     """The tables of inspection.toml with one of them changed; None: taken out."""
-    tables: dict[str, Any] = copy.deepcopy(dict(load_scenario(INSPECTION, SHORT).raw))
-    at = tables
-    for key in path[:-1]:
-        at = at.setdefault(key, {})
-    at.pop(path[-1], None)
-    if value is not None:
-        at[path[-1]] = value
-    return tables
+    return changed_tables(load_scenario(INSPECTION, SHORT).raw, *path, value=value)
 
 
 def problems(*path: str, value: Any = None) -> dict[str, str]:

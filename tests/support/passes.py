@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -134,3 +136,15 @@ def truth_of(flown: Flown) -> Truth:
     """Of a pass that was flown."""
     assert flown.track.truth is not None
     return flown.track.truth
+
+
+def changed_tables(tables: Mapping[str, Any], *path: str, value: Any = None) -> dict[str, Any]:
+    """The tables of a scenario with one of them, or a value there, changed; None: taken out."""
+    out: dict[str, Any] = copy.deepcopy(dict(tables))
+    at = out
+    for key in path[:-1]:
+        at = at.setdefault(key, {})
+    at.pop(path[-1], None)
+    if value is not None:
+        at[path[-1]] = value
+    return out

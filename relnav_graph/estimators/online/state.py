@@ -18,7 +18,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import ServesOnline
-from relnav_graph.estimators.first_sights import QUARTER, turned
+from relnav_graph.estimators.first_sights import few_sides, turned_between
 from relnav_graph.estimators.online.engine import Engine, TakesNumbered
 from relnav_graph.estimators.online.monitor import Monitor
 from relnav_graph.linear.assembly import Assembly
@@ -71,13 +71,12 @@ class Setting:
         moving = self.problem.layout.moving
         if before.t is None:
             return 0.0
-        return float(turned(moving, np.stack([before.x[: moving.size], after.x[: moving.size]]))[1])
+        return turned_between(moving, before.x[: moving.size], after.x[: moving.size])
 
     def initialising(self, turned: float) -> str:
         """Why a map is not to be trusted yet, by how much the target has turned, rad; or ""."""
-        if turned >= QUARTER or not families(self.problem.sensors):
-            return ""
-        return f"initialising: the target has turned by {np.rad2deg(turned):.0f} of 90 deg"
+        doubt = few_sides(turned) if families(self.problem.sensors) else ""
+        return doubt and f"initialising: {doubt}"
 
 
 def _saved_known(problem: Problem) -> Array:
