@@ -47,6 +47,8 @@ def sights_in(assembly: Assembly) -> Indices:
 
 def first_epochs(assembly: Assembly) -> set[int]:
     """The epochs of an assembly in which a numbered block is first seen."""
+    if not assembly.tables.sensors[:, NUMBERED].any():  # asked for at each step online
+        return set()
     observations = assembly.tables.observations[sights_in(assembly)]
     _, first = np.unique(observations[:, OWN_COLUMN], return_index=True)
     return set(observations[first, EPOCH].tolist())
