@@ -197,8 +197,8 @@ def run_filter(
     failure, reached = np.zeros(4, dtype=np.int64), 0
     nowhere = np.zeros(n)
     starts = first_epochs(assembly)
-    begins = np.arange(count) if seconds is not None else np.unique([0, *starts])
-    for k, end in pairwise([*begins.tolist(), count]):
+    begins = range(count) if seconds is not None else sorted({0, *starts})
+    for k, end in pairwise([*begins, count]):
         begun, ahead = time.perf_counter(), nowhere
         if k in starts:
             ahead = first_sights(assembly.at(k), at.x, at.P)

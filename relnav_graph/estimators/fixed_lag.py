@@ -361,7 +361,7 @@ class _Kept:
         self.first.append(w.done.weights)
         if w.left is not None:
             self.x.append(w.left.x)
-            self.P.append(w.left.covariances())
+            self.P.append(w.left.covariances().copy())  # not a view that holds the whole window's
             self.weights.append(w.left.weights)
 
 

@@ -291,6 +291,8 @@ class Assembly:
 
         status (count,): of the observations from `first` on.
         """
+        if not status.any():
+            return
         bad = (status < 0) | (status >= DEGENERATE)
         if bad.any():
             i = int(np.nonzero(bad)[0][0])
@@ -321,8 +323,8 @@ class Assembly:
 
         failure (3,): interval, process, status.
         """
-        k, i, code = (int(v) for v in failure)
-        if code == 0:
+        k, i, code = failure.tolist()
+        if not code:
             return
         name = list(self._processes)[i]
         process = self._processes[name]

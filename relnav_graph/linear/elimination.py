@@ -22,6 +22,7 @@ and folded into one triangle many at a time, which LAPACK does fast.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,9 +123,10 @@ def linearize(
 
 def _check(assembly: Assembly, c: Conditionals) -> None:
     """Raise EstimationError unless conditionals are finite and determine every state."""
-    # A NaN in R spreads to the R of all later epochs: looking at the last one is enough.
-    finite = np.isfinite(c.d).all() and np.isfinite(c.R[-1]).all()
-    if not (finite and np.isfinite(c.R_s).all() and np.isfinite(c.d_s).all()):
+    # A sum is finite where all is. A NaN in R spreads to the R of all later epochs: looking at the
+    # last one is enough.
+    sums = [a.sum() for a in (c.d, c.R[-1], c.R_s, c.d_s) if a.size]
+    if not all(map(math.isfinite, sums)):
         raise EstimationError("the factor graph's linear system is not finite")
     diagonals = np.einsum("kii->ki", c.R)
     layout = assembly.layout.moving

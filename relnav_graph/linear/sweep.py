@@ -272,6 +272,6 @@ def folded(triangle: Array, rows: Array) -> Array:
 
     triangle: in Fortran's order, overwritten.
     """
-    out, _, _, info = dtpqrt(0, min(32, len(triangle)), triangle, rows, overwrite_a=True)
+    out, _, _, info = dtpqrt(0, min(24, len(triangle)), triangle, rows, overwrite_a=True)
     assert info == 0
     return np.asarray(out)
