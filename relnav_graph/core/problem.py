@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.linalg import block_diag
 
-from relnav_graph.arrays import Array
+from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.cautions import (
     Caution,
     gap_cautions,
@@ -84,14 +84,17 @@ class Problem:
     gaps in inputs are bridged, by input, where they come online; merge: s, how close to an epoch
     is of it, online, 0 for equal times only; numbered: of each family of numbered blocks that the
     sensors read, the prior of one of them; known: those of them that are in the state whether they
-    are measured or not. Without epochs it is one to be driven online: they
+    are measured or not; considered: names of blocks, or of families of numbered ones, that are
+    counted and not estimated (Schmidt 1966): their uncertainty goes into the covariance of all
+    others. Without epochs it is one to be driven online: they
     come later. Copies (`relnav_graph.core.copies`) are made at its epochs. The layout ends with the
     numbered blocks that are measured, in order of first sight; a prior that does not tell of just
     these is completed. Raises ModelError when no process advances any block, or two advance one,
     InputError when times do not increase, a sensor is unknown, two models have different orbits, a
     name is none (`relnav_graph.files.check_name`), `numbered` is not of just the families that the
     sensors read, with the sizes of their blocks, or `known` not of numbered ones of these, an id of
-    one is below zero, or there is no epoch to copy.
+    one is below zero, a considered block is none of the state or leaves nothing to estimate, or
+    there is no epoch to copy.
     """
 
     processes: Mapping[str, Dynamics]
@@ -105,6 +108,7 @@ class Problem:
     merge: float = SAME_TIME
     numbered: Mapping[str, Prior] = field(default_factory=dict)
     known: tuple[Block, ...] = ()
+    considered: tuple[str, ...] = ()
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
@@ -128,6 +132,7 @@ class Problem:
         layout = layout_of(self.processes, self.sensors)
         object.__setattr__(self, "layout", Layout(layout.moving, (*layout.statics, *seen)))
         self._check_numbered()
+        self._check_considered()
         if seen and self.prior.x.shape != (self.layout.size,):
             object.__setattr__(self, "prior", completed(self.prior, layout, seen, self.numbered))
         check_orbits(self.processes, self.sensors)
@@ -170,6 +175,34 @@ class Problem:
                 f"prior of {name}: found {found}, expected x ({block.size},) and P ({n}, {n}) for"
                 " each of these static blocks"
             )
+
+    def _check_considered(self) -> None:
+        """Raise InputError unless what is considered is some of the state, and not all of it."""
+        names = dict.fromkeys((*(b.name for b in self.layout), *families(self.sensors)))
+        for name in self.considered:
+            if name not in names:
+                raise InputError(
+                    f"considered: found {name!r}, expected blocks of the state: {', '.join(names)}"
+                )
+        if not self.layout.dim > len(self.considered_columns):
+            raise InputError(
+                "considered: found every block of the state, expected some to estimate"
+            )
+
+    def expect_none_considered(self, who: str) -> None:
+        """Raise InputError when there are considered blocks, for an estimator that has none."""
+        if self.considered:
+            raise InputError(
+                f"considered: found {', '.join(self.considered)}, expected none for {who}; ekf"
+                " considers any block, batch and isam2, after the pass, static ones"
+            )
+
+    @property
+    def considered_columns(self) -> Indices:
+        """Places (c,) in the tangent of the state of the blocks that are considered."""
+        own = [b for b in self.layout if {b.name, b.family} & set(self.considered)]
+        columns = [np.arange(self.layout.dim)[self.layout.tangent(b.name)] for b in own]
+        return np.concatenate([np.zeros(0, np.int64), *columns])
 
     @property
     def times(self) -> Array:

@@ -12,6 +12,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
+from relnav_graph.estimators.considered import considering
 from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.estimators.first_sights import has_map
 from relnav_graph.estimators.gauss_newton import is_small, solve_gated
@@ -59,13 +60,18 @@ class Batch:
     """Maximum a posteriori estimate of the whole pass, all marginal covariances included.
 
     Starts from the iterated filter and its smoother, not from open-loop propagation,
-    which a tumbling target soon leads astray; with unknown points, from `incremental`.
+    which a tumbling target soon leads astray; with unknown points, from `incremental`. Considered
+    blocks must be static: they are held, and counted.
     """
 
     kind: ClassVar[str] = "batch"
 
     def run(self, problem: Problem) -> Track:
         """Smooth the whole pass."""
+        return considering(problem, self._estimated, self.kind)
+
+    def _estimated(self, problem: Problem) -> Track:
+        """Smooth the whole pass, all blocks estimated."""
         start, seconds = time.perf_counter(), 0.0
         layout, count = problem.layout, len(problem.epochs)
         nothing = np.full((count, layout.size), np.nan), np.full((count, *2 * [layout.dim]), np.nan)

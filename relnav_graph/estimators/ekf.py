@@ -15,6 +15,7 @@ from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Innovations, LeftOut, Status, Track, estimates
 from relnav_graph.errors import EstimationError, GeometryError
+from relnav_graph.estimators.considered import considered_caution
 from relnav_graph.estimators.first_sights import first_epochs, first_sights
 from relnav_graph.estimators.source import Source, drive
 from relnav_graph.estimators.trust import judge
@@ -169,8 +170,13 @@ def run_filter(
 
     iterations: Gauss-Newton steps of each measurement update; start: where the filter stands
     before the first epoch, by default the prior; keep: F of all epochs, for a smoother;
-    seconds: gets the time of each epoch, s. Raises ModelError when a kernel breaks its contract.
+    seconds: gets the time of each epoch, s. Considered blocks of the problem have the Schmidt gain:
+    none. Raises ModelError when a kernel breaks its contract, InputError when there are considered
+    blocks and more than one iteration.
     """
+    if iterations > 1:
+        problem.expect_none_considered("a filter with iterated updates")
+    considered = problem.considered_columns
     count, n, size = len(assembly.times), problem.layout.dim, problem.layout.size
     kept, moving = count if keep else 1, problem.layout.moving.dim
     out = FilterOutput(
@@ -192,6 +198,7 @@ def run_filter(
         kinds=assembly.layout.kinds,
         limits=thresholds(assembly, problem.gates),
         losses=losses_of(assembly, problem.losses),
+        considered=considered,
     )
     at = FilterState.at_prior(problem) if start is None else start
     failure, reached = np.zeros(4, dtype=np.int64), 0
@@ -202,6 +209,7 @@ def run_filter(
         begun, ahead = time.perf_counter(), nowhere
         if k in starts:
             ahead = first_sights(assembly.at(k), at.x, at.P)
+            ahead[considered] = 0.0
         filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, ahead, out, failure)
         reached = int(failure[3]) if failure[0] else end
         if reached:
@@ -312,7 +320,8 @@ def filter_problem(
 class Ekf:
     """Extended Kalman filter: error state on the manifold, updated by a QR decomposition.
 
-    iterations: Gauss-Newton steps of each measurement update.
+    iterations: Gauss-Newton steps of each measurement update. Considered blocks have no gain, and
+    all others count them (Schmidt 1966).
     """
 
     kind: ClassVar[str] = "ekf"
@@ -348,6 +357,7 @@ class Ekf:
             left_out=done.left_out,
             downweighted=done.downweighted,
             innovations=done.innovations(),
+            cautions=considered_caution(problem),
         )
 
 

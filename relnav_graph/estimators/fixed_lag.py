@@ -75,6 +75,7 @@ class FixedLagEngine:
     def __init__(
         self, problem: Problem, length: float | None = None, tolerance: float = 1e-3
     ) -> None:
+        problem.expect_none_considered("a fixed-lag smoother")
         self.problem, self.length, self.tolerance = problem, length, tolerance
 
     def begin(self) -> Window:

@@ -110,6 +110,7 @@ class IncrementalSmoother:
     """
 
     def __init__(self, problem: Problem, ratio: float) -> None:
+        problem.expect_none_considered("an incremental smoother")
         self.problem, self.ratio = problem, ratio
         self.no_depth = tells_no_depth(problem)
         self.state = self.begin()

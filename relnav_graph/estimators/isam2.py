@@ -31,6 +31,7 @@ from relnav_graph.core.problem import Prior, Problem, padded
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError, InputError
+from relnav_graph.estimators.considered import considering
 from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, filter_step
 from relnav_graph.estimators.first_sights import has_map, names_of, unseen
 from relnav_graph.estimators.gauss_newton import Solution, is_small, solve_gated
@@ -359,7 +360,7 @@ class Isam2:
                         f"extra: {piece} name epoch {piece.last}, and there are {count} epochs,"
                         " from 0 on"
                     )
-        return self.drive(RecordedSource(problem), extra)
+        return considering(problem, lambda p: self.drive(RecordedSource(p), extra), self.kind)
 
     def drive(self, source: Source, extra: Extra | None = None) -> Track:
         """Estimate epochs as they come; extra: as of `run`."""

@@ -113,7 +113,8 @@ class FilterInput(NamedTuple):
     epoch_offsets, row_offsets (N + 1,): where each epoch's observations and rows begin; kinds
     (blocks, 4): of the state's blocks, see `relnav_graph.maths.manifold`; limits
     (observations,): largest squared normalised innovation that passes the gate, inf for no
-    gate; losses (observations, 2): kind and tuning of the robust loss, kind 0 for none.
+    gate; losses (observations, 2): kind and tuning of the robust loss, kind 0 for none;
+    considered: the columns that are counted and not estimated.
     """
 
     epoch_offsets: Indices
@@ -121,6 +122,7 @@ class FilterInput(NamedTuple):
     kinds: Indices
     limits: Array
     losses: Array
+    considered: Indices
 
 
 class FilterOutput(NamedTuple):
@@ -144,7 +146,7 @@ class FilterOutput(NamedTuple):
     used: Indices
 
 
-_INPUT = types.NamedTuple((INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX), FilterInput)
+_INPUT = types.NamedTuple((INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX, INDICES), FilterInput)
 _OUTPUT = types.NamedTuple(
     (MATRIX, STACK, STACK, STACK, MATRIX, STACK, VECTOR, VECTOR, INDICES), FilterOutput
 )
@@ -198,6 +200,7 @@ def filter_epochs(
     for k in range(begin, end):
         most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
     squares, here, every = np.zeros(most), np.zeros(n), np.arange(n)
+    considered = given.considered
     for k in range(begin, end):
         give_way(0)
         for j in range(n):
@@ -226,7 +229,9 @@ def filter_epochs(
             own_losses, own_weight = losses[first:last], weight[first:last]
             own_squares = squares[: last - first]
             own, own_kinds, P_own, there, before = every, kinds, Pk, here, xk
-            if Q.shape[1] < n:
+            # What follows from the others' steps does not hold where some may not take theirs.
+            partly = Q.shape[1] < n and considered.shape[0] == 0
+            if partly:
                 own, own_kinds = _read(tables, kinds, n, Q.shape[1], first, last)
                 P_own, there, before = dense.part_of(Pk, own), here[own], xk.copy()
             few = own.shape[0] < n
@@ -264,6 +269,7 @@ def filter_epochs(
                 own_squares,
                 own_weight,
                 there,
+                considered,
                 xk,
                 P_own,
             ):
@@ -272,7 +278,7 @@ def filter_epochs(
                 d = local(before, xk, own_kinds, own.shape[0])
                 if not update_others(own, d, own_kinds, P_own, kinds, xk, Pk):
                     failure[0] = NOT_POSITIVE
-            elif Q.shape[1] < n:
+            elif partly:
                 copy(P_own, Pk)
             if failure[0] != 0:
                 return

@@ -143,6 +143,7 @@ class PassFactors:
     )
 
     def __post_init__(self) -> None:
+        self.problem.expect_none_considered("a GTSAM graph")
         for name, process in self.problem.processes.items():
             way = Way(process)
             self._ways[name] = way, Assembly(way.layout, {name: process}, {}, [])

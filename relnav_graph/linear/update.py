@@ -160,6 +160,7 @@ def update(
     iterations: int,
     weight: Array,
     ahead: Array,
+    considered: Indices,
     x: Array,
     P: Array,
 ) -> bool:
@@ -179,6 +180,10 @@ def update(
     maximum a posteriori (Bell and Cathey 1993). A step is halved while the cost grows, and
     given up after ten halvings. P+ is in the tangent of the updated state. False when a
     covariance is not positive definite.
+
+    considered: columns whose states, and covariances with one another, stay as they are, in one
+    iteration; the others' gain, and all other covariances, are as if they did not (Schmidt 1966;
+    Woodbury and Junkins 2010).
     """
     n = P.shape[0]
     x0, P0, scale, L = x.copy(), P.copy(), np.empty(n), np.empty((n, n))
@@ -208,6 +213,8 @@ def update(
                 innovation[i] -= H0[i, j] * e[j]
         _least_squares(H0, C, innovation, a)
         found_step = _solution(C, a)
+        for j in considered:
+            found_step[j] = 0.0
         for j in range(n):
             step[0, j] = found_step[j] - e[j]
         times_transposed_jacobian(step, e, kinds, False)  # to the tangent of x
@@ -242,6 +249,9 @@ def update(
         if length2 < 1e-6:
             break
     _covariance(C, a, P)
+    for i in considered:
+        for j in considered:
+            P[i, j] = P0[i, j]
     to_tangent(P, local(x0, x, kinds, n), kinds, False)
     return True
 
@@ -261,6 +271,7 @@ def robust_update(
     innovations: Array,
     weight: Array,
     ahead: Array,
+    considered: Indices,
     x: Array,
     P: Array,
 ) -> bool:
@@ -268,8 +279,8 @@ def robust_update(
 
     losses (last - first, 2): kind and tuning; innovations (last - first,): mean squares of the
     normalised innovations, for the first weights. weight (last - first,): 1 to use an
-    observation or 0 to leave it out before, square roots of the weights after; own, whole, ahead:
-    see there. x (size,) and P (n, n) are updated in place.
+    observation or 0 to leave it out before, square roots of the weights after; own, whole, ahead,
+    considered: see there. x (size,) and P (n, n) are updated in place.
     """
     count = last - first
     robust = False
@@ -296,7 +307,20 @@ def robust_update(
         dense.put_vector(x, 0, x0)
         copy(P0, P)
         if not update(
-            tables, kinds, own, whole, epoch, first, last, rows, iterations, weight, ahead, x, P
+            tables,
+            kinds,
+            own,
+            whole,
+            epoch,
+            first,
+            last,
+            rows,
+            iterations,
+            weight,
+            ahead,
+            considered,
+            x,
+            P,
         ):
             return False
         if not robust:

@@ -229,7 +229,8 @@ class Scenario:
             seen = [m for epoch in problem.epochs for m in epoch.measurements]
             check_copied(seen, self.sensors, {m.sensor: 1 for m in seen})
         if self.measured:
-            problem = replace(problem, prior=initialise(problem, self.measured))
+            started = initialise(replace(problem, considered=()), self.measured)
+            problem = replace(problem, prior=started)
         prior = problem.prior
         for m in epochs[0].measurements:
             reason = wrong_unit(self.sensors[m.sensor], m, problem.layout, prior.x, prior.P)
@@ -266,6 +267,7 @@ class Scenario:
             bridges=self.bridges,
             merge=self.file.time.tolerance,
             numbered=self.numbered_priors,
+            considered=tuple(name for name, p in self.file.prior.items() if p.considered),
         )
 
     def prior(

@@ -204,12 +204,17 @@ class BlockPrior(BaseModel):
     each: values, by default zero, or "measured", which is the same: a point starts from where it is
     first seen, and is within sigma of the target's centre of mass; or "drawn" or "truth", written
     out, of each its own.
+
+    considered: the block is counted and not estimated (Schmidt 1966): it stays at its mean, and its
+    uncertainty goes into the covariances of all others. `ekf` considers any block, `batch` and
+    `isam2` those that no process advances; other estimators refuse.
     """
 
     model_config = _STRICT
 
     sigma: Any
     mean: Literal["drawn", "truth", "measured"] | list[Any] = "drawn"
+    considered: bool = False
 
 
 class ScenarioFile(BaseModel):

@@ -61,7 +61,7 @@ class Beginning:
         return decide(self._with(self.epochs), self.names)
 
     def _with(self, epochs: Sequence[Epoch]) -> Problem:
-        return replace(self.problem, epochs=tuple(epochs))
+        return replace(self.problem, epochs=tuple(epochs), considered=())
 
     def _move_to(self, epoch: Epoch) -> None:
         """Predict the prior to an epoch's time."""
