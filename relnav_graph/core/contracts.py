@@ -112,11 +112,13 @@ class Dynamics(Protocol):
     """
 
     kind: ClassVar[str]
-    #: The inputs (gyro, accelerometer), each a known mean over sub-intervals: the columns
-    #: of its table, with units, by name.
-    inputs: ClassVar[Mapping[str, tuple[str, ...]]]
     #: For each advanced block, the field whose noise drives it; may be empty.
     noises: ClassVar[tuple[str, ...]]
+
+    @property
+    def inputs(self) -> Mapping[str, tuple[str, ...]]:
+        """The inputs (gyro, accelerometer, thrust), each a known mean over sub-intervals: the
+        columns of its table, with units, by name."""
 
     @property
     def kernel(self) -> Kernel:
@@ -194,6 +196,18 @@ class ProposesStarts(Protocol):
         Values, and those in `known` of the other blocks: (3, 3) or (dim,), SI, in the block's
         frame.
         """
+
+
+@runtime_checkable
+class ReadsTime(Protocol):
+    """A sensor whose kernel may have to know the time: `Sensor.observation_data`, and `starts`, are
+    then those of the sensor `at` it."""
+
+    @property
+    def reads_time(self) -> bool: ...
+
+    def at(self, t: float) -> Sensor:
+        """See `Sensor.at`."""
 
 
 @runtime_checkable

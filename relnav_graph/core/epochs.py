@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Dynamics, ReadsCopies, Sensor
+from relnav_graph.core.contracts import Dynamics, ReadsCopies, ReadsTime, Sensor
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement, edge_tolerance
 from relnav_graph.core.models import check_inputs
 from relnav_graph.errors import InputError
@@ -103,6 +103,8 @@ def check_epoch(
 def observation_data(name: str, sensor: Sensor, measurements: Sequence[Measurement]) -> Array:
     """What a sensor's kernel needs to know of each of its observations (k, nq), one after the
     other. Raises InputError, naming the time, on an id that the sensor does not know."""
+    if isinstance(sensor, ReadsTime) and sensor.reads_time:
+        return np.concatenate([sensor.at(m.t).observation_data(m.ids) for m in measurements])
     try:
         return sensor.observation_data(np.concatenate([m.ids for m in measurements]))
     except InputError:

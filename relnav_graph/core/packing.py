@@ -10,6 +10,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics
 from relnav_graph.core.epochs import Epoch, stamped
+from relnav_graph.core.manoeuvres import THRUST_COLUMNS
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.errors import InputError
 
@@ -98,6 +99,8 @@ def held(
         channels = _channels(process)
         if name in last:
             out[name] = np.array([[length, *last[name][-1, 1 : 1 + channels]]])
+            coasting = [c in THRUST_COLUMNS for cs in process.inputs.values() for c in cs]
+            out[name][0, 1:][coasting] = 0.0  # a manoeuvre ends when its table says so
         elif channels:
             raise InputError(f"process {name!r} ({process.kind}): no input was seen yet to hold")
         else:

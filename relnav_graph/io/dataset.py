@@ -11,10 +11,11 @@
     truth_<family>.csv    id, the columns of `component_columns`: of numbered blocks, such as points
     dataset.toml          format, settings that the data bring, digests; optional
 
-Units are SI and stand in the names of the columns; one row is one observation, in order
-of time. An input may have one column ``t_s`` in place of two: a row is then the mean
-since the row before, and the first row only says when the first interval starts; where rows
-are missing, the scenario's [gaps] says what is done. Times are those of any clock: its [time]
+Units are SI and stand in the names of the columns; one row is one observation, in order of time.
+An input may have one column ``t_s`` in place of two: a row is then the mean since the row before,
+and the first row only says when the first interval starts; where rows are missing, the scenario's
+[gaps] says what is done. The input ``thrust`` may be a table of manoeuvres, see
+`relnav_graph.io.manoeuvres`. Times are those of any clock: its [time]
 origin is taken off them. A table may be Parquet instead. A folder made by hand needs no
 ``dataset.toml``; where there is one, every table that it lists must still be as it was written.
 Truth is interpolated at the epochs between its rows, see `relnav_graph.io.truth`; that of a static
@@ -38,6 +39,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.epochs import epoch_times
+from relnav_graph.core.manoeuvres import THRUST_COLUMNS
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
 from relnav_graph.core.numbered import families, number_in
 from relnav_graph.core.state import Block
@@ -52,6 +54,7 @@ from relnav_graph.io.closures import (
     keyframes_in,
     of_closures,
 )
+from relnav_graph.io.manoeuvres import read_manoeuvres
 from relnav_graph.io.maps import family_table
 from relnav_graph.io.tabular import (
     Format,
@@ -114,6 +117,8 @@ def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
 
 def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
     table = _need_table(folder, name)
+    if channels == THRUST_COLUMNS and "dvx_m_s" in table.columns:
+        return read_manoeuvres(table, name)
     if "t_s" in table.columns:
         table.require(("t_s", *channels))
         table.increasing("t_s")

@@ -48,6 +48,7 @@ from relnav_graph.sim.contracts import (
     DrivenTruth,
     Instrument,
     KnownInput,
+    PlannedInput,
     SimulatedTruth,
 )
 
@@ -278,7 +279,7 @@ def _make_truth(
     for key, table in tables.items() if isinstance(tables, Mapping) else ():
         if isinstance(table, Mapping):
             inputs[key] = made = make_kind(TRUTHS, f"inputs.{key}", table, problems)
-            if made is not None and not isinstance(made, Instrument | KnownInput):
+            if made is not None and not isinstance(made, Instrument | KnownInput | PlannedInput):
                 found = f"found {table['kind']!r}, expected an instrument"
                 problems.append((f"inputs.{key}.kind", found))
     return truth, inputs

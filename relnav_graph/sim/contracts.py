@@ -95,6 +95,26 @@ class KnownInput(Protocol):
 
 
 @runtime_checkable
+class PlannedInput(Protocol):
+    """An input that tells a plan, which the truth flies with errors of its own."""
+
+    def planned(self, name: str, t_first: float, t_last: float) -> InputSeries:
+        """The input from t_first to t_last, s."""
+
+    def flown(self, rng: np.random.Generator) -> Array:
+        """Steps of the chaser's velocity, (n, 4): time, s, then the step, m/s, in o."""
+
+
+@runtime_checkable
+class FliesManoeuvres(Protocol):
+    """A truth that can be given steps of the chaser's velocity."""
+
+    def flown(self, times: Array, rng: np.random.Generator, steps: Array) -> Truth:
+        """As `SimulatedTruth.simulate`, with steps (n, 4), as of `PlannedInput.flown`, in order of
+        time; what it says of the time of a step is what was before."""
+
+
+@runtime_checkable
 class Instrument(Protocol):
     """A simulated instrument whose readings are a process's input: a gyro, an accelerometer."""
 

@@ -15,7 +15,14 @@ from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
 from relnav_graph.core.track import Recording, Truth, at_all_times
 from relnav_graph.errors import InputError
-from relnav_graph.sim.contracts import ControlledTruth, DrivenTruth, IntervalInstrument, KnownInput
+from relnav_graph.sim.contracts import (
+    ControlledTruth,
+    DrivenTruth,
+    FliesManoeuvres,
+    IntervalInstrument,
+    KnownInput,
+    PlannedInput,
+)
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs, check_samples
 from relnav_graph.sim.sensors import Timing, measure_all, stream
 
@@ -47,6 +54,22 @@ def _drifted(
         series[name] = InputSeries(name, t_start, t_end, means)
     found = {name: np.array([v[name] for v in values]) for name in values[0]}
     return Truth(times, found, truth_model.source), series
+
+
+def _flown(
+    truth_model: Any, plans: Mapping[str, PlannedInput], times: Array, seed: int, run: int
+) -> Truth:
+    """The truth with what becomes of the plans. Raises InputError when it flies none."""
+    rng = stream(seed, run, "truth")
+    if not plans:
+        truth: Truth = truth_model.simulate(times, rng)
+        return truth
+    if not isinstance(truth_model, FliesManoeuvres):
+        found = f"inputs.{next(iter(plans))}: found manoeuvres"
+        raise InputError(f"{found}, which a truth of kind {truth_model.kind} does not fly")
+    steps = [plan.flown(stream(seed, run, f"input {name}")) for name, plan in plans.items()]
+    flown = np.concatenate(steps)
+    return truth_model.flown(times, rng, flown[np.argsort(flown[:, 0], kind="stable")])
 
 
 def with_statics(truth: Truth, statics: Mapping[str, Array]) -> Truth:
@@ -97,10 +120,12 @@ def simulate(
         )
         truth, series = _drifted(truth_model, drawn, times, stream(seed, run, "truth"))
     else:
-        truth = truth_model.simulate(times, stream(seed, run, "truth"))
+        plans = {name: s for name, s in inputs.items() if isinstance(s, PlannedInput)}
+        truth = _flown(truth_model, plans, times, seed, run)
         for name, source in inputs.items():
-            if isinstance(source, KnownInput):
-                series[name] = source.series(name, t0, t1)
+            if isinstance(source, KnownInput | PlannedInput):
+                planned = source.series if isinstance(source, KnownInput) else source.planned
+                series[name] = planned(name, t0, t1)
                 continue
             check_samples(name, source, t0, t1)
             edges = source.edges(t0, t1)

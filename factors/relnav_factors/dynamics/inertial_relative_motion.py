@@ -9,7 +9,8 @@ import numpy as np
 
 from relnav_factors.dynamics.accelerometer_bias import Navigation
 from relnav_factors.shared.driven_orbit import OTHERS, DrivenOrbit, drive
-from relnav_factors.shared.gravity import FAILURES, Degree, orbit_status
+from relnav_factors.shared.gravity import Degree
+from relnav_factors.shared.orbit_steps import FAILURES, orbit_status
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.gravity import FAILURES, FIELD, Degree, coast, earth_field, orbit_status
-from relnav_factors.shared.white_noise import duration
+from relnav_factors.shared.gravity import FIELD, Degree, earth_field
+from relnav_factors.shared.orbit_steps import FAILURES, coast, orbit_status
+from relnav_factors.shared.thrust import thrust_of
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_POSITION, CHASER_VELOCITY
+from relnav_graph.core.manoeuvres import THRUST_COLUMNS
 from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
@@ -20,14 +23,17 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """``r_c'' = g(r_c) + white``, ``r_c' = v_c + white``, by Runge-Kutta steps.
+    """``r_c'' = g(r_c) + thrust + white``, ``r_c' = v_c + white``, by Runge-Kutta steps.
 
     p (8,): field (5,), position density (m/sqrt(s)), acceleration density (m/s^1.5), longest step
-    (s). u (rows, 1): dt, s. x, x_next (6,): r_c_i (m), v_c_i (m/s). F, Q (6, 6), SI.
+    (s). u (rows, 1): dt, s, or (rows, 10), see `thrust_of`. x, x_next (6,): r_c_i (m), v_c_i (m/s).
+    F, Q (6, 6), SI.
     """
-    S, nothing = dense.identity(6), np.zeros((6, 6))
+    y, total, noise = x, dense.identity(6), np.zeros((6, 6))
     walk, white, longest = p[FIELD], p[FIELD + 1], p[FIELD + 2]
-    y, total, noise = coast(p, x, S, nothing, duration(u), longest, walk, white)
+    for row in range(u.shape[0]):
+        thrust = thrust_of(u, row)
+        y, total, noise = coast(p, y, total, noise, u[row, 0], longest, walk, white, thrust)
     status = orbit_status(x, y, total)
     if status != 0:
         return status
@@ -47,6 +53,8 @@ class OrbitTwoBody(DynamicsModel):
     walk of the position beside it (the paper's w_2, eq. 14, drives both); degree: of the
     highest zonal harmonic of the Earth, 0 or 2 to 4; max_step: s, the longest Runge-Kutta
     step.
+    thrust: whether the chaser's thrust is an input, known accelerations with a covariance of what
+    they miss, in the axes of the velocity (`relnav_graph.core.manoeuvres`).
     """
 
     kind: ClassVar[str] = "orbit_two_body"
@@ -58,6 +66,11 @@ class OrbitTwoBody(DynamicsModel):
     position_density: Annotated[float, Quantity("m/sqrt(s)", nonnegative=True)] = 0.0
     degree: Degree = 0
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+    thrust: bool = False
+
+    @property
+    def inputs(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
+        return {"thrust": THRUST_COLUMNS} if self.thrust else {}
 
     @property
     def advances(self) -> tuple[Block, ...]:

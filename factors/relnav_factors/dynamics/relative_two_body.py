@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.gravity import FAILURES, FIELD, Degree, coast, earth_field, orbit_status
-from relnav_factors.shared.white_noise import duration
+from relnav_factors.shared.gravity import FIELD, Degree, earth_field
+from relnav_factors.shared.orbit_steps import FAILURES, coast, orbit_status
+from relnav_factors.shared.thrust import thrust_of
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (
@@ -17,6 +19,7 @@ from relnav_graph.core.catalogue import (
     RELATIVE_POSITION,
     RELATIVE_VELOCITY,
 )
+from relnav_graph.core.manoeuvres import THRUST_COLUMNS
 from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
@@ -25,14 +28,17 @@ from relnav_graph.units import Quantity
 
 @jit
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
-    """``r_tc'' = g(r_c) - g(r_c - r_tc) + white``, by Runge-Kutta steps.
+    """``r_tc'' = g(r_c) - g(r_c - r_tc) + thrust + white``, by Runge-Kutta steps.
 
-    p (7,): field (5,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s. x
+    p (7,): field (5,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s, or
+    (rows, 10), see `thrust_of`. x
     (12,): r_tc_i (m), v_tc_i (m/s), r_c_i, v_c_i. x_next (6,): r_tc_i, v_tc_i. F (6, 12), Q (6, 6),
     SI.
     """
-    S, nothing = dense.identity(12), np.zeros((6, 6))
-    y, total, noise = coast(p, x, S, nothing, duration(u), p[FIELD + 1], 0.0, p[FIELD])
+    y, total, noise = x, dense.identity(12), np.zeros((6, 6))
+    for row in range(u.shape[0]):
+        thrust, longest = thrust_of(u, row), p[FIELD + 1]
+        y, total, noise = coast(p, y, total, noise, u[row, 0], longest, 0.0, p[FIELD], thrust)
     status = orbit_status(x, y, total)
     if status != 0:
         return status
@@ -54,6 +60,9 @@ class RelativeTwoBody(DynamicsModel):
 
     acceleration_density: m/s^1.5, white, per axis, of the relative motion; degree: of the
     highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step.
+    thrust: whether the chaser's thrust is an input, known accelerations with a covariance of what
+    they miss, in i, the axes of the velocity (`relnav_graph.core.manoeuvres`).
+    The orbit of the chaser takes the same input, and draws what it misses for itself.
     """
 
     kind: ClassVar[str] = "relative_two_body"
@@ -66,6 +75,11 @@ class RelativeTwoBody(DynamicsModel):
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     degree: Degree = 0
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
+    thrust: bool = False
+
+    @property
+    def inputs(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
+        return {"thrust": THRUST_COLUMNS} if self.thrust else {}
 
     @property
     def advances(self) -> tuple[Block, ...]:

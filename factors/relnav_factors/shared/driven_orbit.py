@@ -9,13 +9,15 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from relnav_factors.dynamics.accelerometer_bias import Navigation, bias_block
-from relnav_factors.shared.gravity import FIELD, Degree, coast, earth_field
+from relnav_factors.shared.gravity import FIELD, Degree, earth_field
+from relnav_factors.shared.orbit_steps import coast
 from relnav_factors.shared.strapdown import (
     LARGEST_TURN,
     STRAPDOWN_INPUTS,
     condense,
     velocity_gained,
 )
+from relnav_factors.shared.thrust import THRUST
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS
@@ -48,10 +50,10 @@ def drive(
     for i in range(n):
         S[i, i] = 1.0
     to_R, to_g = dense.identity(3), np.zeros((3, 3))
-    turn, kick = np.empty(3), np.empty((3, 9))
+    turn, kick, none = np.empty(3), np.empty((3, 9)), np.zeros(THRUST)
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        y, S, Q = coast(p, y, S, Q, dt, p[FIELD + 1], 0.0, p[FIELD])
+        y, S, Q = coast(p, y, S, Q, dt, p[FIELD + 1], 0.0, p[FIELD], none)
         dv, by_R, by_g, by_f, R_ic = velocity_gained(R_ic, u[row], b_g, b_f)
         dense.put_block(kick, 0, ATTITUDE, dense.matmul(by_R, to_R), 1.0)
         dense.put_block(kick, 0, GYRO, dense.add_scaled(by_g, dense.matmul(by_R, to_g), 1.0), 1.0)

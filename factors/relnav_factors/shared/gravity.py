@@ -1,4 +1,4 @@
-"""Gravity of the Earth with zonal harmonics, and orbits integrated in inertial axes.
+"""Gravity of the Earth with zonal harmonics.
 
 The field travels to the kernels as an array (5,): mu (m^3/s^2), equatorial radius (m),
 J2, J3, J4; its axis is z of the inertial frame.
@@ -10,10 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from relnav_factors.shared.statuses import degenerate, finite, length_status
-from relnav_factors.shared.white_noise import add_integrated_white_noise, step_count
 from relnav_graph.arrays import Array
-from relnav_graph.compiled import give_way, jit
+from relnav_graph.compiled import jit
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.maths import dense
 
@@ -97,100 +95,3 @@ def gravity_difference(p: Array, r_c: Array, r_tc: Array) -> tuple[Array, Array,
     _, G_c = zonal_gravity(p, r_c, 0)
     _, G_t = zonal_gravity(p, r_t, 0)
     return out, G_t, dense.add_scaled(G_c, G_t, -1.0)
-
-
-@jit
-def _derivative(p: Array, y: Array) -> tuple[Array, Array]:
-    """y' and its Jacobian. y ends with (r_c, v_c) of one craft; (r_tc, v_tc), its position
-    and velocity relative to another, may stand before."""
-    n = y.shape[0]
-    out, jacobian = np.empty(n), np.zeros((n, n))
-    at = n - 6
-    g, G = zonal_gravity(p, dense.vector_at(y, at), 0)
-    dense.put_vector(out, at + 3, g)
-    dense.put_block(jacobian, at + 3, at, G, 1.0)
-    if at > 0:
-        g, to_r, to_c = gravity_difference(p, dense.vector_at(y, at), dense.vector_at(y, 0))
-        dense.put_vector(out, 3, g)
-        dense.put_block(jacobian, 3, 0, to_r, 1.0)
-        dense.put_block(jacobian, 3, at, to_c, 1.0)
-    for first in range(0, n, 6):
-        for i in range(first, first + 3):
-            out[i] = y[i + 3]
-            jacobian[i, i + 3] = 1.0
-    return out, jacobian
-
-
-@jit
-def orbit_step(p: Array, y: Array, h: float) -> tuple[Array, Array]:
-    """y after one Runge-Kutta step of h seconds, and the step's own Jacobian.
-
-    p: starts with the field (5,); y: (6,): r_c (m), v_c (m/s), or (12,): r_tc, v_tc, r_c, v_c, in
-    i. Returns y (n,) and the Jacobian (n, n), SI.
-    """
-    one = dense.identity(y.shape[0])
-    at_y, at_d, end_y, end_d = y, one, y, one
-    for stage in range(4):
-        k, slope = _derivative(p, at_y)
-        dk = dense.matmul(slope, at_d)
-        weight = h / 6 if stage in (0, 3) else h / 3
-        end_y, end_d = (
-            dense.add_scaled_vector(end_y, k, weight),
-            dense.add_scaled(end_d, dk, weight),
-        )
-        ahead = h if stage == 2 else 0.5 * h
-        at_y, at_d = dense.add_scaled_vector(y, k, ahead), dense.add_scaled(one, dk, ahead)
-    return end_y, end_d
-
-
-#: Status: an orbit leaves what floats hold.
-_LEFT = 1
-FAILURES = {
-    _LEFT: "an orbit is beyond what floats hold",
-    **degenerate(
-        "the distance of the chaser from the Earth's centre",
-        "the distance of the target from the Earth's centre",
-    ),
-}
-
-
-@jit
-def orbit_status(y0: Array, y: Array, S: Array) -> int:
-    """0 where an orbit stayed finite over an interval, else a status of `FAILURES`.
-
-    y0, y: (n,), as of `orbit_step`, at its start and end; S: (n, m), its sensitivity.
-    """
-    n = y.shape[0]
-    if finite(y.reshape(1, n)) and finite(S):
-        return 0
-    r_c = dense.vector_at(y0, n - 6)
-    status = length_status(dense.norm(r_c), 0)
-    if status == 0 and n > 6:
-        r_t = dense.add_scaled_vector(r_c, dense.vector_at(y0, 0), -1.0)
-        status = length_status(dense.norm(r_t), 1)
-    return max(status, _LEFT)
-
-
-@jit
-def coast(
-    p: Array, y: Array, S: Array, Q: Array, length: float, longest: float, walk: float, white: float
-) -> tuple[Array, Array, Array]:
-    """y after `length` seconds of gravity alone, its sensitivity and the noise of its first six.
-
-    p: starts with the field (5,); y: (n,), as of `orbit_step`, whose steps take at most `longest`
-    seconds; S: (n, m) and Q: (6, 6), from before; walk: density of a random walk of the position,
-    m/sqrt(s); white: of the acceleration's white noise, m/s^1.5. Returns y, S and Q at the end.
-    """
-    steps = step_count(length, longest)
-    h, own = length / steps, np.empty((6, 6))
-    for n in range(steps):
-        give_way(n)
-        y, step = orbit_step(p, y, h)
-        for i in range(6):
-            for j in range(6):
-                own[i, j] = step[i, j]
-        S, Q = dense.matmul(step, S), dense.propagate_covariance(own, Q)
-        add_integrated_white_noise(Q, 0, white**2, h)
-        for i in range(3):
-            Q[i, i] += walk**2 * h
-    return y, S, Q

@@ -134,7 +134,14 @@ class RigidBodyPair(OrbitElements):
         check_inertia("RigidBodyPair.target_inertia", self.target_inertia)
 
     def simulate(self, times: Array, rng: np.random.Generator) -> Truth:
+        """Truth at `times` (N,), s, of a pass without manoeuvres; see `flown`."""
+        return self.flown(times, rng, np.zeros((0, 4)))
+
+    def flown(self, times: Array, rng: np.random.Generator, steps: Array) -> Truth:
         """Truth at `times` (N,), s: increasing, the first not before t = 0.
+
+        steps (n, 4): time, s, in order, and step of the chaser's velocity, m/s, in o; those after
+        t = 0 and before the last time are flown.
 
         Values: chaser_attitude R_oc and target_attitude R_ot (N, 3, 3), relative_position
         r_tc_o and relative_velocity (its derivative in o), target_rate w_ti_t, chaser_rate
@@ -142,21 +149,30 @@ class RigidBodyPair(OrbitElements):
         step with variance density^2 / step. Raises InputError on times out of order, or too far
         apart for the steps.
         """
-        t = checked_times(times)
-        spans = np.diff(t, prepend=0.0)
+        t, due = checked_times(times), steps[(steps[:, 0] >= 0) & (steps[:, 0] < times[-1])]
+        stops = np.union1d(t, due[:, 0])
+        spans = np.diff(stops, prepend=0.0)
         check_steps("truth", float(spans.max()), self.max_step)
         # The margin keeps a span of 10 s, rounded up, from taking one step more.
-        steps = np.ceil(spans / self.max_step * (1 - 1e-12))
-        check_room(f"truth.max_step {self.max_step} s, {steps.sum():.3g} steps", 6 * steps.sum())
-        counts = steps.astype(np.int64)
+        most = np.ceil(spans / self.max_step * (1 - 1e-12))
+        check_room(f"truth.max_step {self.max_step} s, {most.sum():.3g} steps", 6 * most.sum())
+        counts = most.astype(np.int64)
         h = spans / np.maximum(counts, 1)
         density = np.repeat([self.torque_density, self.acceleration_density], 3)
         # Always six numbers a step: one noise switched on leaves the other as it was.
         disturbance = rng.standard_normal((int(counts.sum()), 6)) * density
         disturbance /= np.sqrt(np.repeat(h, counts))[:, None]
-        y = np.empty((len(t), STATE_SIZE))
+        y = np.empty((len(stops), STATE_SIZE))
         p = np.array([self.mu, *self.target_inertia])
-        integrate(p, self._initial_state(), counts, h, disturbance, y)
+        now, begin, rows = self._initial_state(), 0, np.concatenate([[0], np.cumsum(counts)])
+        for time, *step_o in (*due, (np.inf, 0.0, 0.0, 0.0)):
+            end = int(np.searchsorted(stops, time, side="right"))
+            if end > begin:
+                own = slice(begin, end), slice(rows[begin], rows[end])
+                integrate(p, now, counts[own[0]], h[own[0]], disturbance[own[1]], y[own[0]])
+                now, begin = y[end - 1].copy(), end
+            now[9:12] += _rtn_axes(now[None])[0].T @ step_o
+        y = y[np.searchsorted(stops, t)]
         return Truth(
             t=t,
             values=self._values(t, y),
@@ -164,7 +180,8 @@ class RigidBodyPair(OrbitElements):
                 "rigid_body_pair: two-body orbits of both craft integrated in an inertial frame,"
                 " rigid target under Euler's equations with white torque, chaser at a constant"
                 " body rate with white acceleration. Not modelled: oblateness, drag, solar"
-                " pressure, third bodies, gravity-gradient torque, flexibility, thrusters"
+                " pressure, third bodies, gravity-gradient torque, flexibility; a manoeuvre is a"
+                " step of the velocity"
             ),
         )
 
@@ -190,12 +207,8 @@ class RigidBodyPair(OrbitElements):
 
     def _values(self, t: Array, y: Array) -> dict[str, Array]:
         """Values of the blocks from the integrated states y (N, 19)."""
-        r_i, v_i = y[:, 0:3], y[:, 3:6]
-        x_i = r_i / np.linalg.norm(r_i, axis=1)[:, None]
-        h_i = np.cross(r_i, v_i)
-        momentum = np.linalg.norm(h_i, axis=1)
-        z_i = h_i / momentum[:, None]
-        R_oi = np.stack([x_i, np.cross(z_i, x_i), z_i], axis=1)
+        r_i, R_oi = y[:, 0:3], _rtn_axes(y)
+        momentum = np.linalg.norm(np.cross(r_i, y[:, 3:6]), axis=1)
         r_tc_o = np.einsum("nij,nj->ni", R_oi, y[:, 6:9])
         w_oi_o = np.zeros_like(r_tc_o)
         w_oi_o[:, 2] = momentum / (r_i**2).sum(axis=1)
@@ -214,6 +227,15 @@ class RigidBodyPair(OrbitElements):
             "chaser_rate": np.tile(self.chaser_rate, (len(t), 1)),
             "inertia_parameters": np.tile(inertia_parameters, (len(t), 1)),
         }
+
+
+def _rtn_axes(y: Array) -> Array:
+    """R_oi (N, 3, 3): to RTN axes of the target's orbit, from the states y (N, 19)."""
+    r_i, v_i = y[:, 0:3], y[:, 3:6]
+    x_i = r_i / np.linalg.norm(r_i, axis=1)[:, None]
+    h_i = np.cross(r_i, v_i)
+    z_i = h_i / np.linalg.norm(h_i, axis=1)[:, None]
+    return np.stack([x_i, np.cross(z_i, x_i), z_i], axis=1)
 
 
 def checked_times(times: Array) -> Array:
