@@ -77,8 +77,8 @@ def parameter_slopes(J: Array, changes: Array) -> Array:
     near = np.abs(gaps) < 1e-6 * moments.max()
     mean = 0.5 * np.add.outer(moments, moments)
     divided = np.where(near, 1 / mean, np.subtract.outer(logs, logs) / np.where(near, 1.0, gaps))
-    turned = [R_tp.T @ second_moments(change) @ R_tp for change in changes]
-    slopes = np.array([R_tp @ (divided * d) @ R_tp.T for d in turned])
+    second = 0.5 * np.trace(changes, axis1=1, axis2=2)[:, None, None] * np.eye(3) - changes
+    slopes = R_tp @ (divided * (R_tp.T @ second @ R_tp)) @ R_tp.T
     out: Array = 0.5 * np.einsum("aij,nij->an", TRACELESS, slopes)
     return out
 

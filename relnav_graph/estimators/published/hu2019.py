@@ -43,8 +43,8 @@ def _inertia(ratios: Array) -> Array:
 def euler_step(R_it: Array, w: Array, ratios: Array, h: float) -> tuple[Array, Array, Array]:
     """R_it (3, 3) and w_ti_t (3,), rad/s, after one Euler step of h s, and I + A h (11, 11).
 
-        q + h q' made a unit quaternion again,  w + h w',  J' w' = -w x J' w      (eqs. 4, 7, 17)
-        d' = -w x d + e,  e' = dw'/dw e + dw'/dJ' j,  j' = 0                        (eqs. 12, 13, 16)
+        q + h q' made a unit quaternion again,  w + h w',  J' w' = -w x J' w     (eqs. 4, 7, 17)
+        d' = -w x d + e,  e' = dw'/dw e + dw'/dJ' j,  j' = 0                   (eqs. 12, 13, 16)
 
     R_it, w: at the start; ratios (5,): of `RATIOS`. d: rad, the paper's vector part of the error
     quaternion is half of it; e: rad/s; j: of the ratios. rad, s and 1.
@@ -78,17 +78,18 @@ class _Ratios:
         return self.layout.pack(self._x.values(x) | {RATIOS.name: J[_PLACES] / J[0, 0]})
 
     def scenario(self, y: Array) -> Array:
-        k = inertia_parameters(self._body(y))
+        J = _inertia(self.layout.value(y, RATIOS.name))
+        if not (np.isfinite(J).all() and np.linalg.eigvalsh(second_moments(J))[0] > 0):
+            raise EstimationError(f"{self._where}: the inertia ratios are those of no body")
+        k = inertia_parameters(J)
         return self._x.pack(self.layout.values(y) | {INERTIA_MATRIX.name: k})
 
     def jacobian(self, y: Array) -> Array:
         out = np.zeros((self._x.dim, self.layout.dim))
         for name in (TARGET_ATTITUDE.name, TARGET_RATE.name):
             out[self._x.tangent(name), self.layout.tangent(name)] = np.eye(3)
-        columns = self.layout.tangent(RATIOS.name)
-        out[self._x.tangent(INERTIA_MATRIX.name), columns] = parameter_slopes(
-            self._body(y), _ENTRIES
-        )
+        slopes = parameter_slopes(_inertia(self.layout.value(y, RATIOS.name)), _ENTRIES)
+        out[self._x.tangent(INERTIA_MATRIX.name), self.layout.tangent(RATIOS.name)] = slopes
         return out
 
     def predict(self, y: Array, interval: Assembly) -> tuple[Array, Array, Array]:
@@ -106,13 +107,6 @@ class _Ratios:
         Q[: len(moving), : len(moving)] = moving
         ahead = {TARGET_ATTITUDE.name: so3.project(R_it), TARGET_RATE.name: w}
         return self.layout.pack(values | ahead), total, back @ Q @ back.T
-
-    def _body(self, y: Array) -> Array:
-        """J' (3, 3) of a state. Raises EstimationError on one that no body has."""
-        J = _inertia(self.layout.value(y, RATIOS.name))
-        if not (np.isfinite(J).all() and np.linalg.eigvalsh(second_moments(J))[0] > 0):
-            raise EstimationError(f"{self._where}: the inertia ratios are those of no body")
-        return J
 
 
 @dataclass(frozen=True)

@@ -82,17 +82,17 @@ class PublishedEngine(KalmanEngine):
         if assembly is None:
             models = p.layout, p.processes, p.sensors
             assembly = Assembly(*models, [epoch], t_before=state.t)
-        x, P = state.x, state.P
-        y = own.own(x)
+        x, P, y = state.x, state.P, own.own(state.x)
+        slopes = own.jacobian(y)
         if state.t is not None:
-            back = np.linalg.inv(own.jacobian(y))
+            back = np.linalg.inv(slopes)
             y, Phi, Q = own.predict(y, assembly)
-            ahead = own.jacobian(y)
-            x, P = own.scenario(y), ahead @ (Phi @ (back @ P @ back.T) @ Phi.T + Q) @ ahead.T
+            x, slopes = own.scenario(y), own.jacobian(y)
+            P = slopes @ (Phi @ (back @ P @ back.T) @ Phi.T + Q) @ slopes.T
             P = 0.5 * (P + P.T)
         before = FilterState(state.t, x, P)
         done = update(p, self.iterations, before, epoch, _at_its_end(assembly))
-        d = np.linalg.solve(own.jacobian(y), p.layout.local(x, done.end.x))
+        d: Array = np.linalg.inv(slopes) @ p.layout.local(x, done.end.x)
         end = done.end._replace(x=own.scenario(own.layout.retract(y, d)))
         return KalmanState(*end, replace(done, x=end.x[None], end=end))
 

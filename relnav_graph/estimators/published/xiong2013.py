@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import expm
 
 from relnav_graph.arrays import Array
-from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.catalogue import (
     CHASER_ATTITUDE,
     CHASER_POSITION,
@@ -34,31 +33,33 @@ __all__ = ["XiongFilter"]
 #: orbit normal, z to nadir; and its rate there.
 OWN_POSITION = Block("own_relative_position", "rho_a", "vector", 3, "m", "a", "m")
 OWN_VELOCITY = Block("own_relative_velocity", "rho'_a", "vector", 3, "m/s", "a", "m/s")
+_ORBIT = CHASER_POSITION, CHASER_VELOCITY
 #: What both the scenario and the paper have in their states.
-_SAME = CHASER_POSITION, CHASER_VELOCITY, GYRO_BIAS, CHASER_ATTITUDE, TARGET_RATE
+_SAME = *_ORBIT, GYRO_BIAS, CHASER_ATTITUDE, TARGET_RATE
 #: Of a complex step: its square is nothing beside 1, so that the derivative is exact.
 _STEP = 1e-30
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """a x b (3,), also of complex numbers."""
-    out: Array = np.array([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
-    return out
+def _cross(a: Any, b: Any) -> Any:
+    """a x b, (3, ...) each, also of complex numbers."""
+    return np.array([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
 
 
-def _norm(a: Array) -> complex:
-    """Length of a real vector (3,), analytic in it."""
-    return np.sqrt(np.sum(a * a))  # type: ignore[no-any-return]
+def _squared(a: Any) -> Any:
+    """Sum of squares of real vectors (3, ...), analytic in them."""
+    return (a * a).sum(axis=0)
 
 
-def orbital_axes(r: Array, v: Array) -> tuple[Array, Array]:
-    """C_a^i (3, 3) and w_ai_a (3,), rad/s, of a craft at r (3,), m, with v (3,), m/s, in i: eq. 19.
+def orbital_axes(r: Any, v: Any) -> tuple[Any, Any]:
+    """C_a^i (3, 3, ...) and w_ai_a (3, ...), rad/s, of craft at r, m, and v, m/s, (3, ...): eq. 19.
 
-    x along-track, y against the orbit normal, z to nadir. Analytic in r and v, which may be complex.
+    x along-track, y against the orbit normal, z to nadir, a in the columns. Analytic in r and v,
+    which may be complex.
     """
     h = _cross(r, v)
-    z, y = -r / _norm(r), -h / _norm(h)
-    return np.stack([_cross(y, z), y, z], axis=1), np.array([0.0, -1.0, 0.0]) * _norm(h) / (r @ r)
+    z, y = -r / np.sqrt(_squared(r)), -h / np.sqrt(_squared(h))
+    rate = np.sqrt(_squared(h)) / _squared(r)
+    return np.stack([_cross(y, z), y, z], axis=1), np.array([0 * rate, -rate, 0 * rate])
 
 
 def clohessy_wiltshire(n: float) -> Array:
@@ -72,10 +73,13 @@ def clohessy_wiltshire(n: float) -> Array:
     return F
 
 
-def relative_in_inertial(own: Array, r: Array, v: Array) -> Array:
-    """r_tc_i, m, and v_tc_i, m/s, (6,), of rho and rho' in a, (6,), and the chaser's r, v (3,)."""
+def relative_in_inertial(own: Any, r: Any, v: Any) -> Any:
+    """r_tc_i, m, and v_tc_i, m/s, (6, ...), of rho and rho' in a, (6, ...), and the chaser's r and
+    v, (3, ...), in i."""
     C, w = orbital_axes(r, v)
-    return np.concatenate([C @ own[:3], C @ (own[3:] + _cross(w, own[:3]))])
+    rate = own[3:] + _cross(w, own[:3])
+    both = [np.einsum("ij...,j...->i...", C, one) for one in (own[:3], rate)]
+    return np.concatenate(both)
 
 
 class _Joint:
@@ -89,10 +93,6 @@ class _Joint:
         models = [*problem.processes.values(), *problem.sensors.values()]
         if any(isinstance(m, KnowsOrbit) and m.orbit is not None for m in models):
             raise ModelError(f"{where}: found an orbit, expected axes o that do not turn")
-        self._relative = [
-            *range(6)[self.layout.tangent(OWN_POSITION.name)],
-            *range(6)[self.layout.tangent(OWN_VELOCITY.name)],
-        ]
 
     def own(self, x: Array) -> Array:
         values = self._x.values(x)
@@ -124,15 +124,10 @@ class _Joint:
         for block in _SAME:
             out[x(block.name), own(block.name)] = np.eye(block.dim)
         relative, r, v = self._orbits(y)
-        rows = [*range(*x(RELATIVE_POSITION.name).indices(99))]
-        rows += range(*x(RELATIVE_VELOCITY.name).indices(99))
-        names = OWN_POSITION, OWN_VELOCITY, CHASER_POSITION, CHASER_VELOCITY
-        columns = [c for b in names for c in range(*own(b.name).indices(99))]
-        at = np.concatenate([relative, r, v])
-        for i, column in enumerate(columns):
-            moved = at + _STEP * 1j * (np.arange(12) == i)
-            found = relative_in_inertial(moved[:6], moved[6:9], moved[9:])
-            out[rows, column] = found.imag / _STEP
+        rows = self._x.gather((RELATIVE_POSITION, RELATIVE_VELOCITY))[1]
+        columns = self.layout.gather((OWN_POSITION, OWN_VELOCITY, *_ORBIT))[1]
+        at = np.concatenate([relative, r, v])[:, None] + _STEP * 1j * np.eye(12)
+        out[np.ix_(rows, columns)] = relative_in_inertial(at[:6], at[6:9], at[9:]).imag / _STEP
         # R_it = R_ic R_tc^T: a turn d of c turns t by R_tc d, one of R_tc back by as much.
         R_tc = self.layout.value(y, RELATIVE_ATTITUDE.name)
         out[x(TARGET_ATTITUDE.name), own(CHASER_ATTITUDE.name)] = R_tc
@@ -149,18 +144,13 @@ class _Joint:
         step = expm(clohessy_wiltshire(n) * dt)
         after = self.own(x_next[0])
         ahead = np.linalg.inv(self.jacobian(after))
-        Phi, mine = ahead @ F[0] @ self.jacobian(y), self._relative
+        stored, mine = self.layout.gather((OWN_POSITION, OWN_VELOCITY))
+        Phi = ahead @ F[0] @ self.jacobian(y)
         Phi[mine] = 0.0
         Phi[np.ix_(mine, mine)] = step
-        # Noise of the chaser's orbit is none of rho's: in a they are two sources (eq. 17).
-        orbit = [self.layout.tangent(b.name) for b in (CHASER_POSITION, CHASER_VELOCITY)]
-        for columns in orbit:
-            places = [self._x.tangent(b.name) for b in (CHASER_POSITION, CHASER_VELOCITY)]
-            for place in places:
-                ahead[np.ix_(mine, range(*place.indices(99)))] = 0.0
-        end = self.layout.stored(OWN_POSITION.name), self.layout.stored(OWN_VELOCITY.name)
-        found = step @ relative
-        after[end[0]], after[end[1]] = found[:3], found[3:]
+        # Noise of the chaser's orbit is none of rho's: as printed the two are apart (eq. 17).
+        ahead[np.ix_(mine, self._x.gather(_ORBIT)[1])] = 0.0
+        after[stored] = step @ relative
         return after, Phi, ahead @ Q_x[0] @ ahead.T
 
     def _orbits(self, y: Array) -> tuple[Array, Array, Array]:
@@ -174,3 +164,24 @@ class _Joint:
         )
 
 
+@dataclass(frozen=True)
+class XiongFilter(PublishedFilter):
+    """The joint filter of Xiong, Yao, Yu 2013: 24 error states of both craft.
+
+    rho, rho', r_c, r_c', attitude of c relative to t, gyro bias, attitude of c, rate of t. The
+    relative orbit by Clohessy-Wiltshire (eq. 12) in an orbital frame that is taken from the
+    chaser's own orbit (eq. 19), not from the target's, which nobody knows. So stereo points depend
+    on the chaser's orbit, too (eqs. 20 to 22).
+
+    As printed but for three errors: the Jacobian to the chaser's attitude is -2 [(A C rho) x], not
+    -2 A C [rho x]; H3 lacks a block of zeros; and the star sensor has an identity there, which it
+    is only of the error to the measured attitude. All are of the scenario's own sensors here, by
+    the chain rule. Full angles in place of half ones. Noise and prior are the scenario's.
+    """
+
+    kind: ClassVar[str] = "xiong2013_filter"
+
+    def of(self, problem: Problem) -> _Joint:
+        """Raises ModelError unless the state is that of both craft in axes that do not turn, with a
+        known inertia."""
+        return _Joint(problem, self.kind)
