@@ -31,6 +31,7 @@ __all__ = [
     "ProposesStarts",
     "ReadsCopies",
     "ReadsNumbered",
+    "ScattersRaw",
     "Sensor",
 ]
 
@@ -274,6 +275,16 @@ class Mappable(Protocol):
     def mapped(self, points: Array, normals: Array | None) -> Sensor:
         """The same sensor with points (n, 3) in t, m, by id, that are known; normals (n, 3):
         outward, None where points are seen from all sides."""
+
+
+@runtime_checkable
+class ScattersRaw(Protocol):
+    """A sensor whose residual is computed of raw values that have the noise, such as points of
+    which a frame is made: its `noise` follows from theirs."""
+
+    def scattered(self, z: Array, unit: Array) -> Array:
+        """z (k, nz) with unit noise (k, nz), without unit, put on its raw values, for the
+        simulator."""
 
 
 @runtime_checkable

@@ -29,9 +29,12 @@ _LONG_KEY = re.compile(
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables; a value in `over` wins."""
+    """Nested tables; a value in `over` wins, and false in place of a table takes that away."""
     out = dict(base)
     for key, value in over.items():
+        if value is False and isinstance(out.get(key), Mapping):
+            del out[key]
+            continue
         both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
         out[key] = merge(out[key], value) if both else value
     return out
@@ -131,7 +134,7 @@ def _text(path: Path, of_data: bool) -> str:
 
 
 def read_toml(path: Path, above: tuple[Path, ...] = (), of_data: bool = False) -> dict[str, Any]:
-    """The tables of a TOML file, over those of the file that it names as `base`.
+    """The tables of a TOML file, over those of the file that it names as `base`: see `merge`.
 
     above: the files that have named this one; of_data: it lies in a data set. Raises
     ScenarioError (InputError of data) when one cannot be read, holds what no scenario may, or

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.core.contracts import Sensor
+from relnav_graph.core.contracts import ScattersRaw, Sensor
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import GeometryError, InputError
@@ -131,12 +131,16 @@ def measure_once(
         kept = np.sort(rng.choice(len(seen), timing.most, replace=False))
         seen, rows = seen[kept], rows[kept]
     clean = Measurement(name, t, rows, seen)
-    R = sensor.noise(clean)
-    unit = _unit_noise(timing.law, R.shape[:2], rng)
+    raw = isinstance(sensor, ScattersRaw)
+    unit = _unit_noise(timing.law, rows.shape if raw else (len(rows), sensor.rows), rng)
     if outliers is not None and timing.outlier_fraction > 0:
         unit = _with_outliers(unit, timing, outliers)
-    e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), unit)
-    found = Measurement(name, t, sensor.perturb(clean.z, e), clean.ids)
+    if isinstance(sensor, ScattersRaw):
+        z = sensor.scattered(clean.z, unit)
+    else:
+        e = np.einsum("kij,kj->ki", np.linalg.cholesky(sensor.noise(clean)), unit)
+        z = sensor.perturb(clean.z, e)
+    found = Measurement(name, t, z, clean.ids)
     if outliers is not None and timing.association_errors > 0:
         found = _confused(found, timing.association_errors, outliers)
     return found

@@ -72,6 +72,8 @@ def test_tracking_claims_tell_control_from_estimation(
     assert found["ekf"]["control_attitude"][1] >= found["ekf"]["control_attitude"][0] > 0
     assert set(found["rts"]) == {"target_attitude", "target_rate"}
     assert "2 cases, 0 failed, 0 not ok" in capsys.readouterr().out
+    alone = _script("tracking_claims").main(tmp_path / "mc", "10deg")["published"]
+    assert alone == {"control_attitude": (0.75, 0.75), "control_rate": (0.00091, 0.00091)}
 
 
 def test_astrobee_beats_its_authors() -> None:

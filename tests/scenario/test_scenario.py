@@ -165,6 +165,21 @@ def test_assignments_win_and_keep_the_rest() -> None:
             override(raw, [wrong])
 
 
+def test_false_takes_a_table_away_and_nothing_else() -> None:
+    """What a variant of a scenario does not have: the prior of a block that is not in its state."""
+    scenario = load_scenario(EXPERIMENTS / "zhang2015_known_inertia.toml")
+    assert "inertia_parameters" not in scenario.layout
+    raw = {"prior": {"a": {"sigma": 1.0}, "b": {"sigma": 2.0}}, "on": True}
+    assert override(raw, ["prior.a=false", "on=false"]) == {
+        "prior": {"b": {"sigma": 2.0}},
+        "on": False,
+    }
+    with pytest.raises(ScenarioError, match=r"prior\.target_rate"):
+        load_scenario(ZHANG, ["prior.target_rate=false"])
+    with pytest.raises(ScenarioError, match=r"prior\.nothing"):
+        load_scenario(ZHANG, ["prior.nothing=false"])
+
+
 def test_an_assignment_reaches_the_model_in_its_unit() -> None:
     scenario = load_scenario(ZHANG, ["sensors.beacons.sigma=1 arcmin", "time.epochs=7"])
     sensor: Any = scenario.sensors["beacons"]

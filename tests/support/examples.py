@@ -41,6 +41,7 @@ from relnav_factors.sensors.pose_copy import PoseCopy
 from relnav_factors.sensors.pose_odometry import PoseOdometry
 from relnav_factors.sensors.star_tracker import StarTracker
 from relnav_factors.sensors.stereo_point import StereoPoint, StereoPointCartesian
+from relnav_factors.sensors.three_point_attitude import ThreePointAttitude
 from relnav_factors.sensors.vision_attitude import VisionAttitude
 
 from relnav_graph.arrays import Array
@@ -54,6 +55,7 @@ MOUNTED: dict[str, Any] = {
     "sensor_attitude": so3.exp(np.array([0.3, -1.1, 0.7])),
     "sensor_position": np.array([0.4, -0.2, 0.1]),
 }
+TRIANGLE = np.array([[0.1, -0.2, 0.3], [1.5, -0.2, 0.3], [0.5, 0.9, 0.3]])
 HU_INERTIA = np.array([[1000.0, 60, 40], [60, 800, 30], [40, 30, 600]])
 LOW = KeplerOrbit(7.2e6, 0.05, 0.3)
 HYPERBOLA = KeplerOrbit(-2.0e7, 1.4, -1.0)
@@ -370,6 +372,9 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "relative_two_body": (
         relative_two_body(0),
         relative_two_body(3, max_step=5.0),
+    ),
+    "three_point_attitude": (
+        attitude_sensor(ThreePointAttitude(sigma=np.full(3, 3e-3), triangle=TRIANGLE)),
     ),
     "vision_attitude": tuple(
         attitude_sensor(VisionAttitude(sigma=np.full(3, 8e-3), seen_from=where, **turned))

@@ -16,7 +16,7 @@ from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.maths import dense, so3
-from relnav_graph.maths.inertia import TRACELESS, check_inertia, second_moments
+from relnav_graph.maths.inertia import check_inertia, inertia_parameters, principal_moments
 from relnav_graph.memory import check_room
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
 from relnav_graph.sim.truths.rigid_body_pair import OrbitElements, checked_times
@@ -30,25 +30,6 @@ _ANYWHERE = np.array([7e6, 0.0, 0.0, 0.0, 7.5e3, 0.0, *[0.0] * 6])
 
 def _zeros() -> Array:
     return np.zeros(3)
-
-
-def _moments(J: Array) -> tuple[Array, Array]:
-    """Second moments of the mass about the principal axes (3,), and R_tp, of J (3, 3)."""
-    moments, R_tp = np.linalg.eigh(second_moments(J))
-    R_tp[:, 2] *= np.linalg.det(R_tp)
-    return moments, R_tp
-
-
-def inertia_parameters(J: Array) -> Array:
-    """The block `catalogue.INERTIA_MATRIX` (5,), no unit, of a body's inertia J (3, 3).
-
-    J: kg m^2, in the axes of t; its scale does not matter.
-    """
-    moments, R_tp = _moments(J)
-    logs = np.log(moments)
-    S = R_tp @ np.diag(logs - logs.mean()) @ R_tp.T
-    out: Array = 0.5 * np.einsum("aij,ij->a", TRACELESS, S)  # each of TRACELESS has the square 2
-    return out
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,7 +85,7 @@ class TumblingBody:
 
     def _integrate(self, t: Array, craft: Array, rng: np.random.Generator) -> Array:
         """States y (N, 19) from the two craft's state (12,) at t = 0; see `integrate`."""
-        moments, R_tp = _moments(self.target_inertia)
+        moments, R_tp = principal_moments(self.target_inertia)
         p = np.array([MU_EARTH, *(moments.sum() - moments)])
         q_ip = so3.quaternion(so3.exp(self.target_attitude.copy()) @ R_tp)
         y, out = np.array([*craft, *q_ip, *(R_tp.T @ self.target_rate)]), np.empty((1, STATE_SIZE))
@@ -124,7 +105,7 @@ class TumblingBody:
         return np.array(found)
 
     def _rotation_values(self, y: Array) -> dict[str, Array]:
-        R_tp = _moments(self.target_inertia)[1]
+        R_tp = principal_moments(self.target_inertia)[1]
         R_ip = dense.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
         return {
             "target_attitude": R_ip @ R_tp.T,
