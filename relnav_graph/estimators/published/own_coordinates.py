@@ -52,7 +52,9 @@ class Published(Protocol):
 
 
 def require(problem: Problem, blocks: Sequence[Block], where: str) -> Layout:
-    """The layout of a problem of just these blocks. Raises ModelError on another."""
+    """The layout of a problem of just these blocks. Raises ModelError on another, InputError where
+    blocks are considered."""
+    problem.expect_none_considered(where)
     if set(problem.layout.blocks) != set(blocks):
         names = ", ".join(block.name for block in blocks)
         raise ModelError(f"{where}: found {problem.layout}, expected a state of just {names}")
