@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,7 @@ __all__ = [
     "filter_problem",
     "filter_step",
     "run_filter",
+    "sweep",
 ]
 
 
@@ -120,13 +121,31 @@ class FilterSweep:
         away = lost(self.assembly, self.reached_weights)
         return judge(away, problem, float(self.nis.sum()), int(self.used.sum()))
 
+    def track(self, kind: str, problem: Problem, seconds: Sequence[float]) -> Track:
+        """What was found of a whole pass, by an estimator of a kind; seconds: of each epoch, s."""
+        status, message = self.verdict(problem)
+        return Track(
+            name=kind,
+            kind="filtered",
+            t=problem.times,
+            **estimates(problem.layout, self.x, self.P),
+            status=status,
+            message=message,
+            runtime_s=float(sum(seconds)),
+            step_s=np.array(seconds),
+            rejected=self.rejected,
+            left_out=self.left_out,
+            downweighted=self.downweighted,
+            innovations=self.innovations(),
+        )
+
     def innovations(self) -> dict[str, Innovations]:
         """Those of each sensor that saw anything, one epoch after the other, each epoch's
-        whitened by the symmetric root of S = H P H^T + I."""
+        whitened by the symmetric root of their covariance S."""
         a, found = self.assembly, dict[str, Innovations]()
         weights = self.weights.copy()
         weights[a.epoch_offsets[self.reached] :] = 0.0
-        rows = a.measure(self.x_predicted, weights)
+        moments = self.moments(weights)
         sensor = np.where(a.rows_of(weights > 0), np.repeat(a.sensor_of, a.heights), -1)
         epoch = np.repeat(np.arange(len(a.times)), np.diff(a.row_offsets))
         for i, name in enumerate(a.sensor_names):
@@ -139,17 +158,27 @@ class FilterSweep:
             for count in set(counts.tolist()):  # epochs of one size at once
                 chosen = counts == count
                 places = begin[chosen, None] + np.arange(count)
-                H, r = rows.H[own[places]], rows.r[own[places]]
-                S = H @ self.P_predicted[at[chosen]] @ H.transpose(0, 2, 1) + np.eye(count)
-                v[places] = _whitened(S, r)
+                v[places] = _whitened(*moments(at[chosen], own[places]))
             found[name] = Innovations(a.times[at], v, np.concatenate(([0], np.cumsum(counts))))
         return found
+
+    def moments(self, weights: Array) -> Callable[[Indices, Indices], tuple[Array, Array]]:
+        """Covariances S (e, rows, rows) and whitened innovations r (e, rows) of epochs (e,) and
+        rows (e, rows); weights (observations,): 0 for one that is not asked for."""
+        found = self.assembly.measure(self.x_predicted, weights)
+
+        def of(epochs: Indices, rows: Indices) -> tuple[Array, Array]:
+            H = found.H[rows]
+            S = H @ self.P_predicted[epochs] @ H.transpose(0, 2, 1) + np.eye(rows.shape[1])
+            return S, found.r[rows]
+
+        return of
 
 
 def _whitened(S: Array, r: Array) -> Array:
     """S^-1/2 r (N, rows), by the symmetric root, which turns no axis from epoch to epoch.
 
-    S = H P H^T + I has no eigenvalue below 1, whatever rounding makes of it.
+    S has no eigenvalue below 1, that of the measurement's noise, whatever rounding makes of it.
     """
     w, V = np.linalg.eigh(S)
     along = (r[:, None, :] @ V) / np.sqrt(np.maximum(w, 1.0))[:, None, :]
@@ -157,19 +186,21 @@ def _whitened(S: Array, r: Array) -> Array:
     return white
 
 
-def run_filter(
+#: Does epochs k to end - 1, from a state, to be linearised a step ahead first: of `sweep`.
+Steps = Callable[[FilterInput, int, int, FilterState, Array, FilterOutput, Indices], None]
+
+
+def sweep(
     problem: Problem,
-    iterations: int,
     assembly: Assembly,
+    steps: Steps,
     start: FilterState | None = None,
     keep: bool = True,
     seconds: list[float] | None = None,
 ) -> FilterSweep:
-    """Filter the epochs of an assembly, or as many as the filter survives.
+    """Go through the epochs of an assembly by `steps`, or as many as the filter survives.
 
-    iterations: Gauss-Newton steps of each measurement update; start: where the filter stands
-    before the first epoch, by default the prior; keep: F of all epochs, for a smoother;
-    seconds: gets the time of each epoch, s. Raises ModelError when a kernel breaks its contract.
+    start, keep, seconds: as of `run_filter`. Raises ModelError when a kernel breaks its contract.
     """
     count, n, size = len(assembly.times), problem.layout.dim, problem.layout.size
     kept, moving = count if keep else 1, problem.layout.moving.dim
@@ -202,7 +233,7 @@ def run_filter(
         begun, ahead = time.perf_counter(), nowhere
         if k in starts:
             ahead = first_sights(assembly.at(k), at.x, at.P)
-        filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, ahead, out, failure)
+        steps(given, k, end, at, ahead, out, failure)
         reached = int(failure[3]) if failure[0] else end
         if reached:
             t = float(assembly.times[reached - 1])
@@ -214,6 +245,27 @@ def run_filter(
             seconds.append(time.perf_counter() - begun)
     why = _why(assembly, failure)
     return FilterSweep(assembly, **out._asdict(), end=at, reached=reached, stopped=why)
+
+
+def run_filter(
+    problem: Problem,
+    iterations: int,
+    assembly: Assembly,
+    start: FilterState | None = None,
+    keep: bool = True,
+    seconds: list[float] | None = None,
+) -> FilterSweep:
+    """Filter the epochs of an assembly, or as many as the filter survives.
+
+    iterations: Gauss-Newton steps of each measurement update; start: where the filter stands
+    before the first epoch, by default the prior; keep: F of all epochs, for a smoother;
+    seconds: gets the time of each epoch, s. Raises ModelError when a kernel breaks its contract.
+    """
+
+    def steps(given: FilterInput, k: int, end: int, at: FilterState, *rest: Any) -> None:
+        filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, *rest)
+
+    return sweep(problem, assembly, steps, start, keep, seconds)
 
 
 def filter_step(
@@ -334,21 +386,8 @@ class Ekf:
         """Filter the whole pass."""
         start, seconds = time.perf_counter(), list[float]()
         done = filter_problem(problem, self.iterations, keep=False, seconds=seconds)
-        status, message = done.verdict(problem)
-        return Track(
-            name=self.kind,
-            kind="filtered",
-            t=problem.times,
-            **estimates(problem.layout, done.x, done.P),
-            status=status,
-            message=message,
-            runtime_s=time.perf_counter() - start,
-            step_s=np.array(seconds),
-            rejected=done.rejected,
-            left_out=done.left_out,
-            downweighted=done.downweighted,
-            innovations=done.innovations(),
-        )
+        track = done.track(self.kind, problem, seconds)
+        return replace(track, runtime_s=time.perf_counter() - start)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from relnav_graph.linear.partial_update import observe_own, to_tangent
 from relnav_graph.linear.tables import Tables, rows_of
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
+    cholesky,
     column_squares,
     copy,
     inverse_upper,
@@ -26,9 +27,17 @@ from relnav_graph.maths.manifold import local, retract, times_jacobian, times_tr
 from relnav_graph.maths.reflections import SPARE, householder
 
 __all__ = [
+    "CONVEX_ROUNDS",
+    "ROUNDS",
+    "WEIGHT_TOLERANCE",
+    "gate",
     "innovation_covariance",
+    "least_squares",
+    "measured_squares",
     "misfit",
+    "reweigh",
     "robust_update",
+    "solution",
 ]
 
 #: Most rounds of reweighting; how many of them, first, take a convex loss instead; and the
@@ -63,7 +72,42 @@ def innovation_covariance(H: Array, P: Array, S: Array) -> None:
 
 
 @jit
-def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
+def gate(
+    tables: Tables,
+    S: Array,
+    r: Array,
+    limit: Array,
+    losses: Array,
+    first: int,
+    weight: Array,
+    squares: Array,
+) -> None:
+    """Leave out each observation i with ``r_i^T S_ii^-1 r_i > limit_i``: its weight becomes 0.
+
+    S (rows, rows): innovation covariance; r (rows,); limit, weight (observations,); losses
+    (observations, 2). squares (observations,): gets ``r_i^T S_ii^-1 r_i / rows_i`` of the
+    observations with a finite limit or a loss.
+    """
+    for i in range(weight.shape[0]):
+        if weight[i] == 0.0 or not (np.isfinite(limit[i]) or losses[i, 0] != 0.0):
+            continue
+        start, rows = rows_of(tables.observations, tables.sensors, first, i)
+        own, v = np.empty((rows, rows)), np.empty((rows, 1))
+        for a in range(rows):
+            v[a, 0] = r[start + a]
+            for b in range(rows):
+                own[a, b] = S[start + a, start + b]
+        weight[i] = 0.0
+        if cholesky(own):
+            solve_lower(own, v)
+            total = column_squares(v, 0, 0)
+            squares[i] = total / rows
+            if total <= limit[i]:
+                weight[i] = 1.0
+
+
+@jit
+def least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
     """Triangularise the least-squares problem ``min |y|^2 + |innovation + H C y|^2``.
 
         Q^T [I, 0; H C, -innovation] = [R, b; 0, rest],  R y = b
@@ -86,8 +130,8 @@ def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
 
 
 @jit
-def _solution(C: Array, a: Array) -> Array:
-    """The step ``C R^-1 b`` (n,), with R and b in `a` as `_least_squares` leaves them."""
+def solution(C: Array, a: Array) -> Array:
+    """The step ``C R^-1 b`` (n,), with R and b in `a` as `least_squares` leaves them."""
     n = C.shape[0]
     y = np.empty(n)
     for i in range(n - 1, -1, -1):
@@ -129,7 +173,7 @@ def misfit(H: Array, P: Array, r: Array) -> float:
         for j in range(n):
             C[i, j] *= scale[i]
     a = np.empty((n + H.shape[0], n + 1 + SPARE))
-    _least_squares(H, C, r, a)
+    least_squares(H, C, r, a)
     return column_squares(a, n, n)
 
 
@@ -206,8 +250,8 @@ def update(
             innovation[i] = r[i]
             for j in range(n):
                 innovation[i] -= H0[i, j] * e[j]
-        _least_squares(H0, C, innovation, a)
-        found_step = _solution(C, a)
+        least_squares(H0, C, innovation, a)
+        found_step = solution(C, a)
         for j in range(n):
             step[0, j] = found_step[j] - e[j]
         times_transposed_jacobian(step, e, kinds, False)  # to the tangent of x
@@ -247,6 +291,56 @@ def update(
 
 
 @jit
+def reweigh(losses: Array, chosen: Array, s2: Array, turn: int, weight: Array) -> float:
+    """The weights of a robust loss at residuals of mean squares s2, and by how much their square
+    roots change.
+
+    losses (count, 2): kind and tuning of each observation; chosen (count,): 0 for one left out;
+    s2 (count,); turn: number of the round; weight (count,): square roots, before and after.
+    """
+    change = 0.0
+    for i in range(weight.shape[0]):
+        kind, c = losses[i, 0], losses[i, 1]
+        if kind == 0.0 or chosen[i] == 0.0:
+            continue
+        # The cost of a loss that redescends has many minima: the first rounds take a
+        # convex loss, so that the others start near its only minimum.
+        if turn < CONVEX_ROUNDS:
+            kind, c = float(HUBER), 1.345
+        root = root_weight(kind, c, s2[i])
+        change = max(change, abs(root - weight[i]))
+        weight[i] = root
+    return change
+
+
+@jit
+def measured_squares(
+    tables: Tables,
+    own: Indices,
+    whole: int,
+    epoch: int,
+    first: int,
+    last: int,
+    x: Array,
+    chosen: Array,
+    r: Array,
+    H: Array,
+    status: Indices,
+    s2: Array,
+) -> None:
+    """Mean squares s2 (last - first,) of the whitened residuals of the chosen observations at x
+    (size,); r (rows,), H (rows, n), status (last - first,): filled on the way."""
+    at = np.empty((1, x.shape[0]))
+    dense.put_vector(at[0], 0, x)
+    observe_own(tables, first, last, epoch, at, chosen, own, whole, r, H, status)
+    for i in range(last - first):
+        start, height = rows_of(tables.observations, tables.sensors, first, i)
+        s2[i] = sum_of_squares(r[start : start + height]) / height
+        if status[i] != 0:  # impossible at the new x: its rows of zeros are no fit
+            s2[i] = np.inf
+
+
+@jit
 def robust_update(
     tables: Tables,
     kinds: Indices,
@@ -276,21 +370,10 @@ def robust_update(
     for i in range(count):
         robust = robust or losses[i, 0] != 0.0
     chosen, x0, P0 = weight.copy(), x.copy(), P.copy()
-    at, r, H = np.empty((1, x.shape[0])), np.empty(rows), np.empty((rows, P.shape[0]))
+    r, H = np.empty(rows), np.empty((rows, P.shape[0]))
     status, s2 = np.empty(count, np.int64), innovations.copy()
     for turn in range(ROUNDS):
-        change = 0.0
-        for i in range(count):
-            kind, c = losses[i, 0], losses[i, 1]
-            if kind == 0.0 or chosen[i] == 0.0:
-                continue
-            # The cost of a loss that redescends has many minima: the first rounds take a
-            # convex loss, so that the others start near its only minimum.
-            if turn < CONVEX_ROUNDS:
-                kind, c = float(HUBER), 1.345
-            root = root_weight(kind, c, s2[i])
-            change = max(change, abs(root - weight[i]))
-            weight[i] = root
+        change = reweigh(losses, chosen, s2, turn, weight)
         if turn > CONVEX_ROUNDS and change < WEIGHT_TOLERANCE:
             break
         dense.put_vector(x, 0, x0)
@@ -301,11 +384,5 @@ def robust_update(
             return False
         if not robust:
             break
-        dense.put_vector(at[0], 0, x)
-        observe_own(tables, first, last, epoch, at, chosen, own, whole, r, H, status)
-        for i in range(count):
-            start, height = rows_of(tables.observations, tables.sensors, first, i)
-            s2[i] = sum_of_squares(r[start : start + height]) / height
-            if status[i] != 0:  # impossible at the new x: its rows of zeros are no fit
-                s2[i] = np.inf
+        measured_squares(tables, own, whole, epoch, first, last, x, chosen, r, H, status, s2)
     return True
