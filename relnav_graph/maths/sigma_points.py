@@ -61,7 +61,8 @@ def weights_of(n: int, alpha: float, beta: float, kappa: float) -> Array:
             f"sigma points: found alpha = {alpha}, kappa = {kappa} for {n} states,"
             " expected alpha^2 (n + kappa) > 0"
         )
-    return np.array([np.sqrt(c2), 1 - n / c2, 2 - n / c2 - alpha**2 + beta, 0.5 / c2])
+    weights: Array = np.array([np.sqrt(c2), 1 - n / c2, 2 - n / c2 - alpha**2 + beta, 0.5 / c2])
+    return weights
 
 
 @jit
