@@ -30,7 +30,7 @@ ESTIMATORS = (
 )
 
 
-def main(passes: int = 16, epochs: int = 200, name: str = "zhang2015") -> dict[str, list[float]]:
+def main(passes: int = 16, epochs: int = 200, *, name: str = "zhang2015") -> dict[str, list[float]]:
     """ANEES of each estimator in each pass; infinite where it diverged."""
     rng = np.random.default_rng(5)
     found: dict[str, list[float]] = {}
@@ -58,4 +58,5 @@ def main(passes: int = 16, epochs: int = 200, name: str = "zhang2015") -> dict[s
 
 
 if __name__ == "__main__":
-    main(*(int(text) for text in sys.argv[1:3]), *sys.argv[3:4])
+    sizes, names = (int(text) for text in sys.argv[1:3]), sys.argv[3:4] or ["zhang2015"]
+    main(*sizes, name=names[0])

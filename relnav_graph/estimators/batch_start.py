@@ -218,11 +218,19 @@ class EkfBatchStart:
 
 def _preceded(done: FilterSweep, at: FilterState) -> FilterSweep:
     """A sweep with one more epoch in front, where it began, without measurements."""
-    first = {"x": at.x, "P": at.P, "x_predicted": at.x, "P_predicted": at.P, "F": 0.0 * at.P}
-    own = {name: np.concatenate([a[None], getattr(done, name)]) for name, a in first.items()}
-    if not len(done.x):
-        return replace(done, **own)
-    return replace(done, assembly=done.assembly.preceded(), **own)
+
+    def led(first: Array, rest: Array) -> Array:
+        return np.concatenate([first[None], rest])
+
+    return replace(
+        done,
+        assembly=done.assembly.preceded() if len(done.x) else done.assembly,
+        x=led(at.x, done.x),
+        P=led(at.P, done.P),
+        x_predicted=led(at.x, done.x_predicted),
+        P_predicted=led(at.P, done.P_predicted),
+        F=led(0.0 * at.P, done.F),
+    )
 
 
 def _behind(layout: Layout, batch: Solution, x_end: Array, P_end: Array) -> tuple[Array, Array]:

@@ -188,9 +188,13 @@ class Ukf:
         done = engine.through(Assembly.of(problem), engine.begin(), seconds)
         track = done.track(self.kind, problem, seconds)
         track = replace(track, runtime_s=time.perf_counter() - begun)
-        name = f"{self.kind}_smoothed"
-        found = {"kind": "smoothed", "step_s": None, "innovations": {}}
-        smoothed = replace(track, name=name, **found, **smoothed_of(done, problem))
+        found: dict[str, Any] = {
+            "kind": "smoothed",
+            "step_s": None,
+            "innovations": {},
+            **smoothed_of(done, problem),
+        }
+        smoothed = replace(track, name=f"{self.kind}_smoothed", **found)
         smoothed = replace(smoothed, runtime_s=time.perf_counter() - begun)
         return replace(track, smoothed=smoothed)
 

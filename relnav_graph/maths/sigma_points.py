@@ -61,8 +61,7 @@ def weights_of(n: int, alpha: float, beta: float, kappa: float) -> Array:
             f"sigma points: found alpha = {alpha}, kappa = {kappa} for {n} states,"
             " expected alpha^2 (n + kappa) > 0"
         )
-    weights: Array = np.array([np.sqrt(c2), 1 - n / c2, 2 - n / c2 - alpha**2 + beta, 0.5 / c2])
-    return weights
+    return np.array([np.sqrt(c2), 1 - n / c2, 2 - n / c2 - alpha**2 + beta, 0.5 / c2])
 
 
 @jit
@@ -82,7 +81,7 @@ def draw(x: Array, R: Array, c: float, kinds: Indices, points: Array) -> None:
 def mean_of(points: Array, n: int, weights: Array, kinds: Indices) -> Array:
     """The state (size,) about which the weighted differences of points (count, size) add up to
     none."""
-    x = points[0].copy()
+    x: Array = points[0].copy()
     for _ in range(STEPS):
         step = np.zeros(n)
         for i in range(points.shape[0]):

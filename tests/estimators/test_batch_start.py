@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from passes import EXPERIMENTS, ZHANG, linear_problem, sigmas, spoilt_toy, toy_problem
+from static_tracks import drifting_pass
 
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
@@ -95,15 +96,25 @@ def test_a_pass_without_measurements_is_degraded() -> None:
     assert track.message == "not one observation was used"
 
 
-def test_smoothed_it_is_the_batch(problem: Problem, track: Track) -> None:
-    """Back over the filter and through the batch, constants included; what separates both is where
-    the filter, begun well, has linearised."""
-    smoothed, batch = track.smoothed, run_estimator("batch", problem)
-    assert smoothed is not None
-    assert smoothed.status == "ok"
-    assert smoothed.kind == "smoothed"
-    assert not smoothed.innovations
-    same(smoothed, batch, slice(None), slice(None), 0.1)
+def test_within_the_span_it_is_smoothed_as_by_the_batch(problem: Problem) -> None:
+    """Constants and points included."""
+    short = first(problem, SPAN - 5)
+    track, batch = run_estimator("ekf_batch_start", short), run_estimator("batch", short)
+    assert track.smoothed is not None
+    assert (track.smoothed.status, track.smoothed.kind) == ("ok", "smoothed")
+    same(track.smoothed, batch, slice(None), slice(None), 1e-3)
+
+
+def test_constants_are_smoothed_with_the_rest() -> None:
+    """Ranges are nearly linear: the filter, begun well, is hardly off."""
+    problem, _ = drifting_pass()
+    track, batch = EkfBatchStart(span=10.0).run(problem), run_estimator("batch", problem)
+    assert track.smoothed is not None
+    assert track.smoothed.statics is not None
+    assert not track.smoothed.innovations
+    same(track.smoothed, batch, slice(None), slice(None), 0.01)
+    constant = track.smoothed.statics
+    np.testing.assert_allclose(constant.x, constant.x[-1:].repeat(len(constant.x), 0), atol=1e-8)
 
 
 def test_smoothed_it_is_the_batch_on_the_close_pass_within_a_twentieth_of_a_sigma() -> None:
