@@ -154,6 +154,9 @@ class Ukf:
     Uhlmann 2004; in square roots, van der Merwe 2004). As `smoothed`, the pass back over the
     regressions of the points (Sarkka 2008). alpha, beta, kappa: see
     `relnav_graph.maths.sigma_points.weights_of`; iterations: updates of each epoch.
+    The spread grows with the number of states, unknown points among them. Where such points are
+    first seen, the epoch is updated as by the extended filter, see
+    `relnav_graph.linear.unscented.unscented_epochs`.
 
     The spread is the best of five over sixteen tumbles of `experiments/tumbling_rates.py`, by the
     median ANEES, 164. Untuned it does worse: 80,000 with the usual alpha = 1e-3, which is nearly an

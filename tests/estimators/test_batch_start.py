@@ -154,15 +154,3 @@ def test_online_is_offline_bit_for_bit_and_goes_on_from_what_was_saved(
         one.step(epoch)
         np.testing.assert_array_equal(one.x, track.x[k])
         np.testing.assert_array_equal(one.P, track.P[k])
-
-
-def test_points_that_come_later_online_are_taken_in(problem: Problem, track: Track) -> None:
-    """Before the span's end and after it; each relinearises, so that all is the same but for what
-    that leaves."""
-    one = online("ekf_batch_start", replace(problem, epochs=(), known=()))
-    for epoch in problem.epochs:
-        one.step(epoch)
-    assert track.statics is not None
-    d = np.abs(one.layout.moving.local(one.x[: one.layout.moving.size], track.x[-1]))
-    assert (d / sigmas(track.P)[-1]).max() < 0.1
-    assert len(one.x) == len(track.x[-1]) + len(track.statics.x[-1])
