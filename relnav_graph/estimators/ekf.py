@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem, padded
-from relnav_graph.core.track import Innovations, LeftOut, Status, Track, estimates
+from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, GeometryError
-from relnav_graph.estimators.considered import considered_caution
+from relnav_graph.estimators.filter_sweep import FilterState, FilterSweep
 from relnav_graph.estimators.first_sights import first_epochs, first_sights
 from relnav_graph.estimators.source import Source, drive
-from relnav_graph.estimators.trust import judge
 from relnav_graph.estimators.weights import (
-    count_downweighted,
-    count_rejected,
-    left_out,
     losses_of,
-    lost,
     thresholds,
 )
 from relnav_graph.linear.assembly import Assembly
@@ -44,6 +39,7 @@ __all__ = [
     "filter_problem",
     "filter_step",
     "run_filter",
+    "sweep",
 ]
 
 
@@ -51,131 +47,22 @@ __all__ = [
 ITERATIONS = 20
 
 
-class FilterState(NamedTuple):
-    """Where a filter stands: t, s, of its newest epoch, None before the first; the estimate
-    x (size,) and its covariance P (n, n), in the tangent of x."""
-
-    t: float | None
-    x: Array
-    P: Array
-
-    @classmethod
-    def at_prior(cls, problem: Problem) -> FilterState:
-        """Before the first epoch of a problem."""
-        return cls(None, problem.prior.x, problem.prior.P)
+#: Does epochs k to end - 1, from a state, to be linearised a step ahead first: of `sweep`.
+Steps = Callable[[FilterInput, int, int, FilterState, Array, FilterOutput, Indices], None]
 
 
-@dataclass(frozen=True, eq=False)
-class FilterSweep:
-    """A filter's way through epochs.
-
-    By epoch: x_predicted (N, size) and P_predicted (N, n, n); F since the epoch before, zero
-    at the first (or the last epoch's only); Q of the last epoch (1, q, q), q of the blocks that
-    move; x, P; nis and
-    used: the squared normalised innovation of the rows used, and their number. weights: of
-    the observations, 1 or 0 for one left out. end: where the
-    filter stood last. reached: epochs filtered; stopped: why it
-    stopped early, or "".
-    """
-
-    assembly: Assembly
-    x_predicted: Array
-    P_predicted: Array
-    F: Array
-    Q: Array
-    x: Array
-    P: Array
-    weights: Array
-    nis: Array
-    used: Indices
-    end: FilterState
-    reached: int = 0
-    stopped: str = ""
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Observations left out in the epochs reached, by sensor."""
-        return count_rejected(self.assembly, self.reached_weights)
-
-    @property
-    def left_out(self) -> dict[str, LeftOut]:
-        """The same observations, of each sensor that has any."""
-        return left_out(self.assembly, self.reached_weights)
-
-    @property
-    def downweighted(self) -> dict[str, int]:
-        """Observations in the epochs reached that a robust loss lets count for less."""
-        return count_downweighted(self.assembly, self.reached_weights)
-
-    @property
-    def reached_weights(self) -> Array:
-        """The weights (observations,), 1 in the epochs that were not reached."""
-        weights = self.weights.copy()
-        weights[self.assembly.epoch_offsets[self.reached] :] = 1.0
-        return weights
-
-    def verdict(self, problem: Problem) -> tuple[Status, str]:
-        """Whether to trust what the filter found, by its innovations."""
-        if self.stopped:
-            return "diverged", self.stopped
-        away = lost(self.assembly, self.reached_weights)
-        return judge(away, problem, float(self.nis.sum()), int(self.used.sum()))
-
-    def innovations(self) -> dict[str, Innovations]:
-        """Those of each sensor that saw anything, one epoch after the other, each epoch's
-        whitened by the symmetric root of S = H P H^T + I."""
-        a, found = self.assembly, dict[str, Innovations]()
-        weights = self.weights.copy()
-        weights[a.epoch_offsets[self.reached] :] = 0.0
-        rows = a.measure(self.x_predicted, weights)
-        sensor = np.where(a.rows_of(weights > 0), np.repeat(a.sensor_of, a.heights), -1)
-        epoch = np.repeat(np.arange(len(a.times)), np.diff(a.row_offsets))
-        for i, name in enumerate(a.sensor_names):
-            own = np.flatnonzero(sensor == i)
-            if not len(own):
-                continue
-            begin = np.flatnonzero(np.diff(epoch[own], prepend=-1))
-            at, counts = epoch[own][begin], np.diff(begin, append=len(own))
-            v = np.empty(len(own))
-            for count in set(counts.tolist()):  # epochs of one size at once
-                chosen = counts == count
-                places = begin[chosen, None] + np.arange(count)
-                H, r = rows.H[own[places]], rows.r[own[places]]
-                S = H @ self.P_predicted[at[chosen]] @ H.transpose(0, 2, 1) + np.eye(count)
-                v[places] = _whitened(S, r)
-            found[name] = Innovations(a.times[at], v, np.concatenate(([0], np.cumsum(counts))))
-        return found
-
-
-def _whitened(S: Array, r: Array) -> Array:
-    """S^-1/2 r (N, rows), by the symmetric root, which turns no axis from epoch to epoch.
-
-    S = H P H^T + I has no eigenvalue below 1, whatever rounding makes of it.
-    """
-    w, V = np.linalg.eigh(S)
-    along = (r[:, None, :] @ V) / np.sqrt(np.maximum(w, 1.0))[:, None, :]
-    white: Array = (V @ along.transpose(0, 2, 1))[:, :, 0]
-    return white
-
-
-def run_filter(
+def sweep(
     problem: Problem,
-    iterations: int,
     assembly: Assembly,
+    steps: Steps,
     start: FilterState | None = None,
     keep: bool = True,
     seconds: list[float] | None = None,
 ) -> FilterSweep:
-    """Filter the epochs of an assembly, or as many as the filter survives.
+    """Go through the epochs of an assembly by `steps`, or as many as the filter survives.
 
-    iterations: Gauss-Newton steps of each measurement update; start: where the filter stands
-    before the first epoch, by default the prior; keep: F of all epochs, for a smoother;
-    seconds: gets the time of each epoch, s. Considered blocks of the problem have the Schmidt gain:
-    none. Raises ModelError when a kernel breaks its contract, InputError when there are considered
-    blocks and more than one iteration.
+    start, keep, seconds: as of `run_filter`. Raises ModelError when a kernel breaks its contract.
     """
-    if iterations > 1:
-        problem.expect_none_considered("a filter with iterated updates")
     considered = problem.considered_columns
     count, n, size = len(assembly.times), problem.layout.dim, problem.layout.size
     kept, moving = count if keep else 1, problem.layout.moving.dim
@@ -210,7 +97,7 @@ def run_filter(
         if k in starts:
             ahead = first_sights(assembly.at(k), at.x, at.P)
             ahead[considered] = 0.0
-        filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, ahead, out, failure)
+        steps(given, k, end, at, ahead, out, failure)
         reached = int(failure[3]) if failure[0] else end
         if reached:
             t = float(assembly.times[reached - 1])
@@ -222,6 +109,30 @@ def run_filter(
             seconds.append(time.perf_counter() - begun)
     why = _why(assembly, failure)
     return FilterSweep(assembly, **out._asdict(), end=at, reached=reached, stopped=why)
+
+
+def run_filter(
+    problem: Problem,
+    iterations: int,
+    assembly: Assembly,
+    start: FilterState | None = None,
+    keep: bool = True,
+    seconds: list[float] | None = None,
+) -> FilterSweep:
+    """Filter the epochs of an assembly, or as many as the filter survives.
+
+    iterations: Gauss-Newton steps of each measurement update; start: where the filter stands
+    before the first epoch, by default the prior; keep: F of all epochs, for a smoother;
+    seconds: gets the time of each epoch, s. Considered blocks have no gain. Raises ModelError when
+    a kernel breaks its contract, InputError on considered blocks with more than one iteration.
+    """
+    if iterations > 1:
+        problem.expect_none_considered("a filter with iterated updates")
+
+    def steps(given: FilterInput, k: int, end: int, at: FilterState, *rest: Any) -> None:
+        filter_epochs(assembly.tables, given, iterations, k, end, at.x, at.P, *rest)
+
+    return sweep(problem, assembly, steps, start, keep, seconds)
 
 
 def filter_step(
@@ -343,22 +254,8 @@ class Ekf:
         """Filter the whole pass."""
         start, seconds = time.perf_counter(), list[float]()
         done = filter_problem(problem, self.iterations, keep=False, seconds=seconds)
-        status, message = done.verdict(problem)
-        return Track(
-            name=self.kind,
-            kind="filtered",
-            t=problem.times,
-            **estimates(problem.layout, done.x, done.P),
-            status=status,
-            message=message,
-            runtime_s=time.perf_counter() - start,
-            step_s=np.array(seconds),
-            rejected=done.rejected,
-            left_out=done.left_out,
-            downweighted=done.downweighted,
-            innovations=done.innovations(),
-            cautions=considered_caution(problem),
-        )
+        track = done.track(self.kind, problem, seconds)
+        return replace(track, runtime_s=time.perf_counter() - start)
 
 
 @dataclass(frozen=True)

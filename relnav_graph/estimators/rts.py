@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from relnav_graph.estimators.ekf import ITERATIONS, FilterSweep, filter_problem
 from relnav_graph.linear.filter import FAILURES
 from relnav_graph.linear.rts import backward
 
-__all__ = ["Rts", "smooth"]
+__all__ = ["Rts", "smooth", "smoothed_of"]
 
 
 def smooth(done: FilterSweep, covariances: bool = True) -> tuple[Array, Array]:
@@ -36,6 +36,19 @@ def smooth(done: FilterSweep, covariances: bool = True) -> tuple[Array, Array]:
     return x, P
 
 
+def smoothed_of(done: FilterSweep, problem: Problem) -> dict[str, Any]:
+    """status and message of a filter's whole pass, and layout, x, P and statics of it smoothed;
+    NaN where it cannot be."""
+    x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
+    status, message = done.verdict(problem)
+    if not done.stopped:
+        try:
+            x, P = smooth(done)
+        except EstimationError as error:
+            status, message = "diverged", str(error)
+    return {"status": status, "message": message, **estimates(problem.layout, x, P)}
+
+
 @dataclass(frozen=True)
 class Rts:
     """Forward iterated filter, backward smoother; each update is linearised once only,
@@ -48,20 +61,11 @@ class Rts:
         """Smooth the whole pass."""
         start = time.perf_counter()
         done = filter_problem(problem, self.iterations)
-        x, P = np.full_like(done.x, np.nan), np.full_like(done.P, np.nan)
-        status, message = done.verdict(problem)
-        if not done.stopped:
-            try:
-                x, P = smooth(done)
-            except EstimationError as error:
-                status, message = "diverged", str(error)
         return Track(
             name=self.kind,
             kind="smoothed",
             t=problem.times,
-            **estimates(problem.layout, x, P),
-            status=status,
-            message=message,
+            **smoothed_of(done, problem),
             runtime_s=time.perf_counter() - start,
             rejected=done.rejected,
             left_out=done.left_out,

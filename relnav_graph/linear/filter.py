@@ -17,6 +17,7 @@ from relnav_graph.compiled.contracts import (
     STACK,
     VECTOR,
 )
+from relnav_graph.linear.innovations import gate, innovation_covariance, misfit
 from relnav_graph.linear.partial_update import observe_own, update_others
 from relnav_graph.linear.rows import propagate
 from relnav_graph.linear.tables import (
@@ -28,18 +29,11 @@ from relnav_graph.linear.tables import (
     Tables,
     rows_of,
 )
-from relnav_graph.linear.update import (
-    innovation_covariance,
-    misfit,
-    robust_update,
-)
+from relnav_graph.linear.update import robust_update
 from relnav_graph.maths import dense
 from relnav_graph.maths.dense import (
-    cholesky,
-    column_squares,
     copy,
     sandwich,
-    solve_lower,
     sum_of_squares,
 )
 from relnav_graph.maths.losses import root_weight
@@ -47,12 +41,16 @@ from relnav_graph.maths.manifold import local, retract, times_jacobian
 
 __all__ = [
     "FAILURES",
+    "FILTER_INPUT",
+    "FILTER_OUTPUT",
     "NOT_POSITIVE",
     "PROPAGATED",
     "SENSOR_BROKE",
     "FilterInput",
     "FilterOutput",
     "filter_epochs",
+    "finite",
+    "update_epoch",
 ]
 
 
@@ -65,46 +63,12 @@ FAILURES = {
 
 
 @jit
-def _gate(
-    tables: Tables,
-    S: Array,
-    r: Array,
-    limit: Array,
-    losses: Array,
-    first: int,
-    weight: Array,
-    squares: Array,
-) -> None:
-    """Leave out each observation i with ``r_i^T S_ii^-1 r_i > limit_i``: its weight becomes 0.
-
-    S (rows, rows): innovation covariance; r (rows,); limit, weight (observations,); losses
-    (observations, 2). squares (observations,): gets ``r_i^T S_ii^-1 r_i / rows_i`` of the
-    observations with a finite limit or a loss.
-    """
-    for i in range(weight.shape[0]):
-        if weight[i] == 0.0 or not (np.isfinite(limit[i]) or losses[i, 0] != 0.0):
-            continue
-        start, rows = rows_of(tables.observations, tables.sensors, first, i)
-        own, v = np.empty((rows, rows)), np.empty((rows, 1))
-        for a in range(rows):
-            v[a, 0] = r[start + a]
-            for b in range(rows):
-                own[a, b] = S[start + a, start + b]
-        weight[i] = 0.0
-        if cholesky(own):
-            solve_lower(own, v)
-            total = column_squares(v, 0, 0)
-            squares[i] = total / rows
-            if total <= limit[i]:
-                weight[i] = 1.0
-
-
-@jit
-def _finite(v: Array) -> bool:
-    finite = True
+def finite(v: Array) -> bool:
+    """Whether all of v (n,) is."""
+    sound = True
     for i in range(v.shape[0]):
-        finite = finite and np.isfinite(v[i])
-    return finite
+        sound = sound and np.isfinite(v[i])
+    return sound
 
 
 class FilterInput(NamedTuple):
@@ -146,23 +110,106 @@ class FilterOutput(NamedTuple):
     used: Indices
 
 
-_INPUT = types.NamedTuple((INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX, INDICES), FilterInput)
-_OUTPUT = types.NamedTuple(
+FILTER_INPUT = types.NamedTuple(
+    (INDICES, INDICES, INDEX_MATRIX, VECTOR, MATRIX, INDICES), FilterInput
+)
+FILTER_OUTPUT = types.NamedTuple(
     (MATRIX, STACK, STACK, STACK, MATRIX, STACK, VECTOR, VECTOR, INDICES), FilterOutput
 )
+
+
+@jit
+def update_epoch(
+    tables: Tables,
+    given: FilterInput,
+    iterations: int,
+    k: int,
+    ahead: Array,
+    moving: int,
+    xk: Array,
+    Pk: Array,
+    squares: Array,
+    out: FilterOutput,
+    failure: Indices,
+) -> None:
+    """Update the prediction xk (size,), Pk (n, n) of epoch k with what it measured, in place.
+
+    ahead (n,): the step from it to where it is linearised first; moving: dimension of the blocks
+    that move; squares: room for as many numbers as the epoch has observations, or more. Fills
+    weights, nis and used of `out`, and failure (4,); see `filter_epochs`.
+    """
+    kinds, n = given.kinds, Pk.shape[0]
+    first, last = given.epoch_offsets[k], given.epoch_offsets[k + 1]
+    rows = given.row_offsets[k + 1] - given.row_offsets[k]
+    out.nis[k], out.used[k] = 0.0, 0
+    if last == first:
+        return
+    losses, weight = given.losses[first:last], out.weights[first:last]
+    own, own_kinds = np.arange(n), kinds
+    P_own, there, before = Pk, ahead, xk
+    # What follows from the others' steps does not hold where some may not take theirs.
+    partly = moving < n and given.considered.shape[0] == 0
+    if partly:
+        own, own_kinds = _read(tables, kinds, n, moving, first, last)
+        P_own, there, before = dense.part_of(Pk, own), ahead[own], xk.copy()
+    _measured_epoch(
+        tables,
+        own_kinds,
+        own,
+        n,
+        k,
+        first,
+        last,
+        xk,
+        P_own,
+        there,
+        given.limits[first:last],
+        losses,
+        weight,
+        squares[: last - first],
+        rows,
+        out.nis,
+        out.used,
+        failure,
+    )
+    if failure[0] == 0 and not robust_update(
+        tables,
+        own_kinds,
+        own,
+        n,
+        k,
+        first,
+        last,
+        rows,
+        iterations,
+        losses,
+        squares[: last - first],
+        weight,
+        there,
+        given.considered,
+        xk,
+        P_own,
+    ):
+        failure[0] = NOT_POSITIVE
+    if own.shape[0] < n and failure[0] == 0:
+        d = local(before, xk, own_kinds, own.shape[0])
+        if not update_others(own, d, own_kinds, P_own, kinds, xk, Pk):
+            failure[0] = NOT_POSITIVE
+    elif partly:
+        copy(P_own, Pk)
 
 
 @jit_loop(
     *(
         TABLES,
-        _INPUT,
+        FILTER_INPUT,
         types.int64,
         types.int64,
         types.int64,
         VECTOR,
         MATRIX,
         VECTOR,
-        _OUTPUT,
+        FILTER_OUTPUT,
         INDICES,
     )
 )
@@ -190,17 +237,14 @@ def filter_epochs(
     keep the last one's. failure (4,): what stopped the filter, process or observation, status,
     epoch.
     """
-    epoch_offsets, row_offsets, kinds = given.epoch_offsets, given.row_offsets, given.kinds
-    limit, losses, weight = given.limits, given.losses, out.weights
+    epoch_offsets, x, P = given.epoch_offsets, out.x, out.P
     x_predicted, P_predicted, F, Q = out.x_predicted, out.P_predicted, out.F, out.Q
-    x, P, nis, used = out.x, out.P, out.nis, out.used
     lag = epoch_offsets.shape[0] - 1 - tables.starts.shape[0]
     xk, Pk = x_before.copy(), P_before.copy()
     n, most = Pk.shape[0], 0
     for k in range(begin, end):
         most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
-    squares, here, every = np.zeros(most), np.zeros(n), np.arange(n)
-    considered = given.considered
+    squares, here = np.zeros(most), np.zeros(n)
     for k in range(begin, end):
         give_way(0)
         for j in range(n):
@@ -222,71 +266,14 @@ def filter_epochs(
         else:
             dense.put_vector(x_predicted[k], 0, xk)
             copy(Pk, P_predicted[k])
-        first, last = epoch_offsets[k], epoch_offsets[k + 1]
-        start, stop = row_offsets[k], row_offsets[k + 1]
-        nis[k], used[k] = 0.0, 0
-        if last > first:
-            own_losses, own_weight = losses[first:last], weight[first:last]
-            own_squares = squares[: last - first]
-            own, own_kinds, P_own, there, before = every, kinds, Pk, here, xk
-            # What follows from the others' steps does not hold where some may not take theirs.
-            partly = Q.shape[1] < n and considered.shape[0] == 0
-            if partly:
-                own, own_kinds = _read(tables, kinds, n, Q.shape[1], first, last)
-                P_own, there, before = dense.part_of(Pk, own), here[own], xk.copy()
-            few = own.shape[0] < n
-            _measured_epoch(
-                tables,
-                own_kinds,
-                own,
-                n,
-                k,
-                first,
-                last,
-                xk,
-                P_own,
-                there,
-                limit[first:last],
-                own_losses,
-                own_weight,
-                own_squares,
-                stop - start,
-                nis,
-                used,
-                failure,
-            )
-            if failure[0] == 0 and not robust_update(
-                tables,
-                own_kinds,
-                own,
-                n,
-                k,
-                first,
-                last,
-                stop - start,
-                iterations,
-                own_losses,
-                own_squares,
-                own_weight,
-                there,
-                considered,
-                xk,
-                P_own,
-            ):
-                failure[0] = NOT_POSITIVE
-            if few and failure[0] == 0:
-                d = local(before, xk, own_kinds, own.shape[0])
-                if not update_others(own, d, own_kinds, P_own, kinds, xk, Pk):
-                    failure[0] = NOT_POSITIVE
-            elif partly:
-                copy(P_own, Pk)
-            if failure[0] != 0:
-                return
+        update_epoch(tables, given, iterations, k, here, Q.shape[1], xk, Pk, squares, out, failure)
+        if failure[0] != 0:
+            return
         dense.put_vector(x[k], 0, xk)
         copy(Pk, P[k])
-        sound = _finite(xk)
+        sound = finite(xk)
         for i in range(n):
-            sound = sound and _finite(Pk[i])
+            sound = sound and finite(Pk[i])
         if not sound:
             failure[0] = NOT_FINITE
             return
@@ -365,7 +352,7 @@ def _measured_epoch(
             return
         weight[i] = 1.0 if status[i] == 0 else 0.0
     innovation_covariance(H, P, S)
-    _gate(tables, S, r, limit, losses, first, weight, squares)
+    gate(tables, S, r, limit, losses, first, weight, squares)
     # Rows that are not used become zero: they then add nothing to the misfit.
     for i in range(last - first):
         start, count = rows_of(tables.observations, tables.sensors, first, i)

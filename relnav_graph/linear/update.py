@@ -26,9 +26,14 @@ from relnav_graph.maths.manifold import local, retract, times_jacobian, times_tr
 from relnav_graph.maths.reflections import SPARE, householder
 
 __all__ = [
-    "innovation_covariance",
-    "misfit",
+    "CONVEX_ROUNDS",
+    "ROUNDS",
+    "WEIGHT_TOLERANCE",
+    "least_squares",
+    "measured_squares",
+    "reweigh",
     "robust_update",
+    "solution",
 ]
 
 #: Most rounds of reweighting; how many of them, first, take a convex loss instead; and the
@@ -50,20 +55,7 @@ def _squared_length(L: Array, scale: Array, d: Array) -> float:
 
 
 @jit
-def innovation_covariance(H: Array, P: Array, S: Array) -> None:
-    """``S = H P H^T + I``, symmetric, for H (rows, n), P (n, n), S (rows, rows)."""
-    HP = np.empty((H.shape[0], H.shape[1]))
-    matmul_into(H, P, HP)
-    for i in range(H.shape[0]):
-        for j in range(i + 1):
-            value = 1.0 if i == j else 0.0
-            for l in range(H.shape[1]):
-                value += HP[i, l] * H[j, l]
-            S[i, j] = S[j, i] = value
-
-
-@jit
-def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
+def least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
     """Triangularise the least-squares problem ``min |y|^2 + |innovation + H C y|^2``.
 
         Q^T [I, 0; H C, -innovation] = [R, b; 0, rest],  R y = b
@@ -86,8 +78,8 @@ def _least_squares(H: Array, C: Array, innovation: Array, a: Array) -> None:
 
 
 @jit
-def _solution(C: Array, a: Array) -> Array:
-    """The step ``C R^-1 b`` (n,), with R and b in `a` as `_least_squares` leaves them."""
+def solution(C: Array, a: Array) -> Array:
+    """The step ``C R^-1 b`` (n,), with R and b in `a` as `least_squares` leaves them."""
     n = C.shape[0]
     y = np.empty(n)
     for i in range(n - 1, -1, -1):
@@ -113,24 +105,6 @@ def _covariance(C: Array, a: Array, P: Array) -> None:
             for l in range(n):
                 value += half[i, l] * half[j, l]
             P[i, j] = P[j, i] = value
-
-
-@jit
-def misfit(H: Array, P: Array, r: Array) -> float:
-    """``r^T (H P H^T + I)^-1 r``, for H (rows, n), P (n, n), r (rows,).
-
-    The squared normalised innovation. NaN where P is not positive definite.
-    """
-    n = P.shape[0]
-    scale, C = np.empty(n), np.empty((n, n))
-    if not scaled_cholesky(P, scale, C):
-        return np.nan
-    for i in range(n):
-        for j in range(n):
-            C[i, j] *= scale[i]
-    a = np.empty((n + H.shape[0], n + 1 + SPARE))
-    _least_squares(H, C, r, a)
-    return column_squares(a, n, n)
 
 
 @jit
@@ -211,8 +185,8 @@ def update(
             innovation[i] = r[i]
             for j in range(n):
                 innovation[i] -= H0[i, j] * e[j]
-        _least_squares(H0, C, innovation, a)
-        found_step = _solution(C, a)
+        least_squares(H0, C, innovation, a)
+        found_step = solution(C, a)
         for j in considered:
             found_step[j] = 0.0
         for j in range(n):
@@ -257,6 +231,56 @@ def update(
 
 
 @jit
+def reweigh(losses: Array, chosen: Array, s2: Array, turn: int, weight: Array) -> float:
+    """The weights of a robust loss at residuals of mean squares s2, and by how much their square
+    roots change.
+
+    losses (count, 2): kind and tuning of each observation; chosen (count,): 0 for one left out;
+    s2 (count,); turn: number of the round; weight (count,): square roots, before and after.
+    """
+    change = 0.0
+    for i in range(weight.shape[0]):
+        kind, c = losses[i, 0], losses[i, 1]
+        if kind == 0.0 or chosen[i] == 0.0:
+            continue
+        # The cost of a loss that redescends has many minima: the first rounds take a
+        # convex loss, so that the others start near its only minimum.
+        if turn < CONVEX_ROUNDS:
+            kind, c = float(HUBER), 1.345
+        root = root_weight(kind, c, s2[i])
+        change = max(change, abs(root - weight[i]))
+        weight[i] = root
+    return change
+
+
+@jit
+def measured_squares(
+    tables: Tables,
+    own: Indices,
+    whole: int,
+    epoch: int,
+    first: int,
+    last: int,
+    x: Array,
+    chosen: Array,
+    r: Array,
+    H: Array,
+    status: Indices,
+    s2: Array,
+) -> None:
+    """Mean squares s2 (last - first,) of the whitened residuals of the chosen observations at x
+    (size,); r (rows,), H (rows, n), status (last - first,): filled on the way."""
+    at = np.empty((1, x.shape[0]))
+    dense.put_vector(at[0], 0, x)
+    observe_own(tables, first, last, epoch, at, chosen, own, whole, r, H, status)
+    for i in range(last - first):
+        start, height = rows_of(tables.observations, tables.sensors, first, i)
+        s2[i] = sum_of_squares(r[start : start + height]) / height
+        if status[i] != 0:  # impossible at the new x: its rows of zeros are no fit
+            s2[i] = np.inf
+
+
+@jit
 def robust_update(
     tables: Tables,
     kinds: Indices,
@@ -287,21 +311,10 @@ def robust_update(
     for i in range(count):
         robust = robust or losses[i, 0] != 0.0
     chosen, x0, P0 = weight.copy(), x.copy(), P.copy()
-    at, r, H = np.empty((1, x.shape[0])), np.empty(rows), np.empty((rows, P.shape[0]))
+    r, H = np.empty(rows), np.empty((rows, P.shape[0]))
     status, s2 = np.empty(count, np.int64), innovations.copy()
     for turn in range(ROUNDS):
-        change = 0.0
-        for i in range(count):
-            kind, c = losses[i, 0], losses[i, 1]
-            if kind == 0.0 or chosen[i] == 0.0:
-                continue
-            # The cost of a loss that redescends has many minima: the first rounds take a
-            # convex loss, so that the others start near its only minimum.
-            if turn < CONVEX_ROUNDS:
-                kind, c = float(HUBER), 1.345
-            root = root_weight(kind, c, s2[i])
-            change = max(change, abs(root - weight[i]))
-            weight[i] = root
+        change = reweigh(losses, chosen, s2, turn, weight)
         if turn > CONVEX_ROUNDS and change < WEIGHT_TOLERANCE:
             break
         dense.put_vector(x, 0, x0)
@@ -325,11 +338,5 @@ def robust_update(
             return False
         if not robust:
             break
-        dense.put_vector(at[0], 0, x)
-        observe_own(tables, first, last, epoch, at, chosen, own, whole, r, H, status)
-        for i in range(count):
-            start, height = rows_of(tables.observations, tables.sensors, first, i)
-            s2[i] = sum_of_squares(r[start : start + height]) / height
-            if status[i] != 0:  # impossible at the new x: its rows of zeros are no fit
-                s2[i] = np.inf
+        measured_squares(tables, own, whole, epoch, first, last, x, chosen, r, H, status, s2)
     return True

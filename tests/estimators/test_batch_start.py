@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from passes import EXPERIMENTS, linear_problem, sigmas, spoilt_toy, toy_problem
+from passes import EXPERIMENTS, ZHANG, linear_problem, sigmas, spoilt_toy, toy_problem
+from static_tracks import drifting_pass
 
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.batch_start import EkfBatchStart
+from relnav_graph.estimators.online.driver import online
 from relnav_graph.runs.passes import open_pass
 
 SPAN = 30
@@ -92,3 +94,63 @@ def test_a_pass_without_measurements_is_degraded() -> None:
     track = run_estimator("ekf_batch_start", problem)
     assert track.status == "degraded"
     assert track.message == "not one observation was used"
+
+
+def test_within_the_span_it_is_smoothed_as_by_the_batch(problem: Problem) -> None:
+    """Constants and points included."""
+    short = first(problem, SPAN - 5)
+    track, batch = run_estimator("ekf_batch_start", short), run_estimator("batch", short)
+    assert track.smoothed is not None
+    assert (track.smoothed.status, track.smoothed.kind) == ("ok", "smoothed")
+    same(track.smoothed, batch, slice(None), slice(None), 1e-3)
+
+
+def test_constants_are_smoothed_with_the_rest() -> None:
+    """Ranges are nearly linear: the filter, begun well, is hardly off."""
+    problem, _ = drifting_pass()
+    track, batch = EkfBatchStart(span=10.0).run(problem), run_estimator("batch", problem)
+    assert track.smoothed is not None
+    assert track.smoothed.statics is not None
+    assert not track.smoothed.innovations
+    same(track.smoothed, batch, slice(None), slice(None), 0.01)
+    constant = track.smoothed.statics
+    np.testing.assert_allclose(constant.x, constant.x[-1:].repeat(len(constant.x), 0), atol=1e-8)
+
+
+def test_smoothed_it_is_the_batch_on_the_close_pass_within_a_twentieth_of_a_sigma() -> None:
+    scenario = ZHANG.with_name("zhang2015_close.toml")
+    problem = open_pass(scenario, 0, assignments=["time.epochs=150"]).problem
+    track, batch = run_estimator("iekf_batch_start", problem), run_estimator("batch", problem)
+    assert track.smoothed is not None
+    d = np.abs(track.layout.local(batch.x, track.smoothed.x)) / sigmas(batch.P)
+    assert d.max() < 0.05
+    ratio = sigmas(track.smoothed.P) / sigmas(batch.P)
+    assert np.abs(ratio - 1).max() < 0.01
+
+
+@pytest.mark.parametrize("span", [0.0, 10.0, 1e6])
+def test_a_linear_pass_is_smoothed_as_by_the_batch_whatever_the_span(span: float) -> None:
+    problem = linear_problem(0.02)
+    batch, track = run_estimator("batch", problem), EkfBatchStart(span=span).run(problem)
+    assert track.smoothed is not None
+    np.testing.assert_allclose(track.smoothed.x, batch.x, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(track.smoothed.P, batch.P, rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("window", [7.0, 7.4, 50.0])
+@pytest.mark.parametrize("saved", [4, 15])
+def test_online_is_offline_bit_for_bit_and_goes_on_from_what_was_saved(
+    window: float, saved: int
+) -> None:
+    """With an epoch at the end of the span, with none there, and in a pass that is shorter; saved
+    within the span, and after it."""
+    problem = replace(spoilt_toy(), gates={"fix": 0.999}, window=window)
+    track, one = run_estimator("iekf_batch_start", problem), online("iekf_batch_start", problem)
+    for k, epoch in enumerate(problem.epochs):
+        if k == saved:
+            after = online("iekf_batch_start", problem)
+            after.restore(one.state())
+            one = after
+        one.step(epoch)
+        np.testing.assert_array_equal(one.x, track.x[k])
+        np.testing.assert_array_equal(one.P, track.P[k])

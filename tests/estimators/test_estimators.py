@@ -198,9 +198,10 @@ def test_estimator_skips_and_counts_a_point_behind_the_camera(kind: str) -> None
 # --- divergence -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ESTIMATORS)
+@pytest.mark.parametrize("kind", [k for k in ESTIMATORS if k not in ("ukf", "iukf")])
 def test_divergence_is_a_status_and_a_nan_tail(kind: str) -> None:
-    """A prior of 10 km against fixes of 0.1 mm: no covariance can carry both."""
+    """A prior of 10 km against fixes of 0.1 mm: no covariance can carry both. Its root, which the
+    unscented filters carry instead, can."""
     processes: dict[str, Any] = {"motion": WhiteNoiseAcceleration(acceleration_density=1e-6)}
     sensors: dict[str, Any] = {"fix": PositionFix(covariance=1e-8 * np.eye(3))}
     fixes = [Measurement("fix", float(t), np.zeros((1, 3)), ONE_ID) for t in range(6)]

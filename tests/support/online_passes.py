@@ -18,7 +18,7 @@ from relnav_graph.core.track import Recording
 from relnav_graph.estimators.online.driver import Estimate, Online, online
 from relnav_graph.scenario.build import load_scenario
 
-KINDS = ("ekf", "iekf", "fixed_lag", "incremental", "isam2")
+KINDS = ("ekf", "iekf", "ukf", "ekf_batch_start", "fixed_lag", "incremental", "isam2")
 WINDOW = 12.0
 
 

@@ -22,7 +22,7 @@ from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.runs.closed_loop import Flown
 
-ESTIMATORS = ("ekf", "iekf", "rts", "batch", "incremental")
+ESTIMATORS = ("ekf", "iekf", "ukf", "iukf", "ekf_batch_start", "rts", "batch", "incremental")
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 ZHANG = EXPERIMENTS / "zhang2015.toml"
 ONE_ID = np.zeros(1, dtype=np.int64)
