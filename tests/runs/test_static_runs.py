@@ -43,7 +43,7 @@ def test_every_estimator_ends_at_the_same_constant(path: Path) -> None:
         assert row["statics"]["range_drift"]["unit"] == "m"
         assert row["statics_anees"] == pytest.approx(row["statics"]["range_drift"]["anees"])
         assert row["distance"] is not None
-        assert row["distance"] < (1.5 if name == "fixed_lag_smoothed" else 0.3)
+        assert row["distance"] < (1.5 if name in ("fixed_lag_smoothed", "ukf_smoothed") else 0.3)
         last = rows[name].value("range_drift")[-1]
         sigma = np.sqrt(rows["batch"].covariance("range_drift")[-1, 0, 0])
         assert np.abs(last - rows["batch"].value("range_drift")[-1]) < 0.3 * sigma
