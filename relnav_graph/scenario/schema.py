@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -79,8 +79,9 @@ class ScenarioError(InputError):
 class TimeSettings(BaseModel):
     """The clock of a pass, and the epochs of a simulated one.
 
-    step, epochs: of a simulated pass, which has so many epochs, so far apart, from t = 0;
-    recorded data need neither. origin: what the stamps of files and streams say at t = 0, s: it
+    step, epochs: of a simulated pass, which has so many epochs, so far apart, from t = 0, and
+    between them those of sensors whose period is no multiple of the step; recorded data need
+    neither. origin: what the stamps of files and streams say at t = 0, s: it
     is taken off when they are read, so that numbers stay small, and put back when data are
     written; all other times (`[orbit] epoch`, `evaluate`, results) are of the pass's own clock.
     merge: s, measurements that close to the first of an epoch are of it; 0: only equal stamps.
@@ -169,6 +170,16 @@ class SensorOptions(BaseModel):
         struck = (0.0, 0.0) if o is None else (o.fraction, o.size)
         few = self.most, self.association_errors
         return Timing(self.period, *struck, begin, end, self.law, *few)
+
+
+def besides(step: float | None, options: Iterable[SensorOptions]) -> set[float]:
+    """Periods of sensors, s, that are no multiples of the step of a simulated pass, s: they measure
+    between its epochs, so that it has these besides."""
+    if step is None:
+        return set()
+    periods = {o.period for o in options if o.period is not None}
+    cycles = {p: p / step for p in periods}
+    return {p for p, n in cycles.items() if n < 1 - 1e-6 or abs(n - round(n)) > 1e-6}
 
 
 class OnlineSettings(BaseModel):
