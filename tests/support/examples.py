@@ -16,6 +16,12 @@ from example_kinds import DerivedExample, DynamicsExample, Example, SensorExampl
 from relnav_factors.derived import relative_pose
 from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios, InertiaRatios
 from relnav_factors.derived.principal_axes import PrincipalAxes, PrincipalRatios
+from relnav_factors.derived.whole_bias import (
+    WholeAbsoluteAccelerometerBias,
+    WholeAccelerometerBias,
+    WholeEarthSensorBias,
+    WholeGyroBias,
+)
 from relnav_factors.dynamics.accelerometer_bias import AccelerometerBias
 from relnav_factors.dynamics.body_velocity import BodyVelocity
 from relnav_factors.dynamics.earth_sensor_bias import EarthSensorBias
@@ -201,14 +207,15 @@ def earth_sensor(**options: Any) -> SensorExample:
     model = EarthSensor(sigma=3e-4, **options)
 
     def draw(rng: np.random.Generator, regime: str) -> tuple[Array, ...]:
-        _, r_c, bias = (draw_block(b, rng, regime) for b in model.reads)
+        _, r_c, *biases = (draw_block(b, rng, regime) for b in model.reads)
         z_i, off = -r_c / np.linalg.norm(r_c), 0.7 * rng.uniform(-1, 1, 3)
         x_i = np.cross(z_i, rng.normal(size=3))
         x_i /= np.linalg.norm(x_i)
         R_is = np.stack([x_i, np.cross(z_i, x_i), z_i], axis=1) @ so3.exp(off)
-        return R_is @ model.sensor_attitude.T, r_c, bias
+        return R_is @ model.sensor_attitude.T, r_c, *biases
 
     step = {"chaser_attitude": 0.01, "chaser_position": 30.0, "earth_sensor_bias": 1e-3}
+    step |= {"earth_sensor_drift": 1e-3} if model.drift else {}
     return SensorExample(model, draw, step=step)
 
 
@@ -266,6 +273,7 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "earth_sensor": (
         earth_sensor(),
         earth_sensor(sensor_attitude=MOUNTED["sensor_attitude"]),
+        earth_sensor(drift=True),
     ),
     "laser_range_angles": (
         laser(),
@@ -312,15 +320,31 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "accelerometer_bias": (
         forgetting(AccelerometerBias, 1e-4),
         forgetting(AccelerometerBias, 1e-4, navigation="absolute"),
+        forgetting(AccelerometerBias, 1e-4, part="drift"),
+        forgetting(AccelerometerBias, 1e-4, navigation="absolute", part="drift"),
     ),
-    "earth_sensor_bias": (forgetting(EarthSensorBias, 1e-4),),
+    "earth_sensor_bias": (
+        forgetting(EarthSensorBias, 1e-4),
+        forgetting(EarthSensorBias, 1e-4, part="drift"),
+    ),
     "inertial_orbit_motion": (
         driven(InertialOrbitMotion, "absolute"),
         driven(InertialOrbitMotion, "relative", degree=0, max_step=2.5),
+        driven(InertialOrbitMotion, "absolute", gyro_drift=True),
+        driven(InertialOrbitMotion, "absolute", gyro_drift=True, accelerometer_drift=True),
     ),
     "inertial_relative_motion": (
         driven(InertialRelativeMotion, "relative", own_orbit("relative", 2)),
         driven(InertialRelativeMotion, "absolute", own_orbit("absolute", 3), degree=3),
+        driven(
+            *(InertialRelativeMotion, "relative", own_orbit("relative", 2)),
+            gyro_drift=True,
+            accelerometer_drift=True,
+        ),
+        driven(
+            *(InertialRelativeMotion, "relative", own_orbit("relative", 2)),
+            accelerometer_drift=True,
+        ),
     ),
     "receiver_clock": (
         DynamicsExample(
@@ -356,6 +380,8 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         gyro(1e-4, 1e-4, attitude="relative_attitude"),
         gyro(1e-4, 1e-4, bias_time_constant=600.0, samples="together"),
         gyro(1e-4, 0.0, orbit=LOW),
+        gyro(1e-4, 1e-4, bias_time_constant=600.0, part="drift"),
+        gyro(1e-4, 1e-4, part="drift", samples="together", orbit=LOW),
     ),
     "orbit_two_body": (
         orbit(0, position_density=0.1),
@@ -386,6 +412,10 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "principal_axes": (DerivedExample(PrincipalAxes()),),
     "principal_ratios": (DerivedExample(PrincipalRatios()),),
     "relative_attitude": (DerivedExample(relative_pose.RelativeAttitude()),),
+    "whole_absolute_accelerometer_bias": (DerivedExample(WholeAbsoluteAccelerometerBias()),),
+    "whole_accelerometer_bias": (DerivedExample(WholeAccelerometerBias()),),
+    "whole_earth_sensor_bias": (DerivedExample(WholeEarthSensorBias()),),
+    "whole_gyro_bias": (DerivedExample(WholeGyroBias()),),
     "target_rate_in_chaser": (DerivedExample(relative_pose.TargetRateInChaser()),),
 }
 

@@ -14,7 +14,7 @@ from relnav_graph.core.state import Block
 
 
 class WholeBias(DerivedQuantity):
-    """b + d: what the instrument really adds."""
+    """b + d: what the instrument really adds, but for white noise."""
 
     block: ClassVar[Block]
 
@@ -27,7 +27,7 @@ class WholeBias(DerivedQuantity):
 
 @dataclass(frozen=True)
 class WholeAccelerometerBias(WholeBias):
-    """b_f + d_f, of the relative navigation."""
+    """b_f + d_f of an accelerometer, as in Yang et al. 2016, of the relative navigation."""
 
     kind: ClassVar[str] = "whole_accelerometer_bias"
     block: ClassVar[Block] = Block(
@@ -38,7 +38,7 @@ class WholeAccelerometerBias(WholeBias):
 
 @dataclass(frozen=True)
 class WholeAbsoluteAccelerometerBias(WholeBias):
-    """b_F + d_F, of the absolute navigation."""
+    """b_F + d_F of an accelerometer, as in Yang et al. 2016, of the absolute navigation."""
 
     kind: ClassVar[str] = "whole_absolute_accelerometer_bias"
     block: ClassVar[Block] = Block(
@@ -49,7 +49,7 @@ class WholeAbsoluteAccelerometerBias(WholeBias):
 
 @dataclass(frozen=True)
 class WholeGyroBias(WholeBias):
-    """b + d of a gyro."""
+    """b + d of a gyro, as in Yang et al. 2016."""
 
     kind: ClassVar[str] = "whole_gyro_bias"
     block: ClassVar[Block] = Block(
@@ -60,7 +60,7 @@ class WholeGyroBias(WholeBias):
 
 @dataclass(frozen=True)
 class WholeEarthSensorBias(WholeBias):
-    """b_e + d_e of an Earth sensor."""
+    """b_e + d_e of an Earth sensor, as in Yang et al. 2016."""
 
     kind: ClassVar[str] = "whole_earth_sensor_bias"
     block: ClassVar[Block] = Block(
