@@ -141,9 +141,9 @@ def _check_room(
     each = layout.dim**2 + 100.0
     asked = [("time.epochs", f"{epochs} epochs", epochs * each)]
     for name, one in options.items():
-        for period in besides(step, [one]):
-            more = step * epochs / period
-            what = f"a period of {period} s, {more:.3g} epochs"
+        for own in besides(step, [one]):
+            more = step * epochs / own
+            what = f"a period of {own} s, {more:.3g} epochs"
             asked.append((f"sensors.{name}.period", what, more * each))
     for name, source in inputs.items():
         if isinstance(period := getattr(source, "period", None), float):

@@ -50,9 +50,9 @@ class RowRuns:
     aligned (of what the alignment of the map leaves, by state and key; "" stands for the map),
     sensor (of innovations, by sensor and key), squares (of whitened residuals, by noise).
     Sums over runs, for means: series (states + 1, 3, bins), nis (sensors, bins). coupling: one
-    (noises, noises) of each run that has it, few at most. static_units: of static blocks and aligned states; freedoms: degrees of
-    freedom of one run, by state, and "joint"; bad: run, status and message where the status is not
-    ok; rejected: observations, by sensor.
+    (noises, noises) of each run that has it, few at most. static_units: of static blocks and
+    aligned states; freedoms: degrees of freedom of one run, by state, and "joint"; bad: run, status
+    and message where the status is not ok; rejected: observations, by sensor.
     """
 
     kind: Kind = "filtered"

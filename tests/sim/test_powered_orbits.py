@@ -11,9 +11,9 @@ from passes import EXPERIMENTS
 from scipy.integrate import solve_ivp
 
 from relnav_graph.arrays import Array
+from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.core.catalogue import GYRO_BIAS, GYRO_DRIFT
 from relnav_graph.core.state import Layout
-from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
 from relnav_graph.runs.closed_loop import fly_all

@@ -95,9 +95,9 @@ def test_a_fast_turn_stays_in_as_many_rows_as_it_needs() -> None:
     ids=lambda s: s.kind,
 )
 def test_errors_are_as_declared(source: StrapdownGyro | StrapdownAccelerometer) -> None:
-    """White noise of density n has the variance n^2 / dt; the bias does not decay; what drifts about
-    it has its standard deviation from the start and forgets where it began; the same numbers come
-    in whatever intervals."""
+    """White noise of density n has the variance n^2 / dt; the bias does not decay; what drifts
+    about it has its standard deviation from the start and forgets where it began; the same numbers
+    come in whatever intervals."""
     sampler = source.begin(np.random.default_rng(0))
     errors, drifts = [], []
     for k in range(6000):

@@ -174,12 +174,13 @@ def driven(cls: Any, navigation: Any, *companions: Any, **options: Any) -> Dynam
     model = cls(velocity_random_walk_density=5e-4, navigation=navigation, **options)
     diffusion = constant(0, 0, 0, *[2.5e-7] * 3)
     channels = {"gyro": 3, "accelerometer": 3}
-    return DynamicsExample(model, diffusion, channels, (*companions, gyro_model(1e-4, 1e-6)))
+    gyro_bias = gyro_model(1e-4, 1e-6, part="drift" if model.gyro_drift else "bias")
+    return DynamicsExample(model, diffusion, channels, (*companions, gyro_bias))
 
 
-def own_orbit(navigation: Any, degree: Any) -> InertialOrbitMotion:
+def own_orbit(navigation: Any, degree: Any, **drifts: bool) -> InertialOrbitMotion:
     return InertialOrbitMotion(
-        velocity_random_walk_density=5e-4, navigation=navigation, degree=degree
+        velocity_random_walk_density=5e-4, navigation=navigation, degree=degree, **drifts
     )
 
 
@@ -336,14 +337,17 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "inertial_relative_motion": (
         driven(InertialRelativeMotion, "relative", own_orbit("relative", 2)),
         driven(InertialRelativeMotion, "absolute", own_orbit("absolute", 3), degree=3),
-        driven(
-            *(InertialRelativeMotion, "relative", own_orbit("relative", 2)),
-            gyro_drift=True,
-            accelerometer_drift=True,
-        ),
-        driven(
-            *(InertialRelativeMotion, "relative", own_orbit("relative", 2)),
-            accelerometer_drift=True,
+        *(
+            driven(
+                InertialRelativeMotion,
+                "relative",
+                own_orbit("relative", 2, **drifts),
+                **drifts,
+            )
+            for drifts in (
+                {"gyro_drift": True, "accelerometer_drift": True},
+                {"accelerometer_drift": True},
+            )
         ),
     ),
     "receiver_clock": (

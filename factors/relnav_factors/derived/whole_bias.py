@@ -52,9 +52,7 @@ class WholeGyroBias(WholeBias):
     """b + d of a gyro, as in Yang et al. 2016."""
 
     kind: ClassVar[str] = "whole_gyro_bias"
-    block: ClassVar[Block] = Block(
-        "whole_gyro_bias", "(b+d)_c", "vector", 3, "rad/s", "c", "deg/h"
-    )
+    block: ClassVar[Block] = Block("whole_gyro_bias", "(b+d)_c", "vector", 3, "rad/s", "c", "deg/h")
     reads = (catalogue.GYRO_BIAS, catalogue.GYRO_DRIFT)
 
 

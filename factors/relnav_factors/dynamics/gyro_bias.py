@@ -95,7 +95,8 @@ class GyroBias(DynamicsModel):
     bias_time_constant: T, s, of a bias with b' = -b / T + white; orbit: the target's, None where o
     does not rotate. part: "bias", or "drift": density and time constant are of what drifts about a
     constant bias, a static block of its own. attitude: which block turns with the chaser: R_oc, or
-    R_tc of a target at rest in o. samples: "together" for a fast gyro: those of an interval as one or a few rows.
+    R_tc of a target at rest in o. samples: "together" for a fast gyro: those of an interval as one
+    or a few rows.
 
     Raises InputError where the bias of some axes only walks, or one that decays does not.
     """
@@ -155,8 +156,8 @@ class GyroBias(DynamicsModel):
         """The same with a constant bias, see `relnav_graph.core.contracts.Drifts`."""
         if self.part == "bias":
             return self
-        still = {"bias_random_walk_density": np.zeros(3), "bias_time_constant": None}
-        return replace(self, part="bias", **still)
+        still = np.zeros(3)
+        return replace(self, part="bias", bias_random_walk_density=still, bias_time_constant=None)
 
     def constants(self) -> Array:
         densities = self.angle_random_walk_density, self.bias_random_walk_density

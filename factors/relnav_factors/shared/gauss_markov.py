@@ -13,7 +13,6 @@ from relnav_graph.compiled import jit
 from relnav_graph.core.models import DynamicsModel
 from relnav_graph.units import Quantity
 
-
 #: What of a bias a process advances: the bias as a whole, or what drifts about a constant one.
 Part = Literal["bias", "drift"]
 
