@@ -6,6 +6,8 @@ rotate.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from relnav_graph.core.state import Block
 
 CHASER_ATTITUDE = Block("chaser_attitude", "R_oc", "SO3", 3, "rad", "oc", "deg")
@@ -28,6 +30,21 @@ ACCELEROMETER_BIAS = Block("accelerometer_bias", "b_f_c", "vector", 3, "m/s^2", 
 ABSOLUTE_ACCELEROMETER_BIAS = Block(
     "absolute_accelerometer_bias", "b_F_c", "vector", 3, "m/s^2", "c", "m/s^2"
 )
+EARTH_SENSOR_BIAS = Block("earth_sensor_bias", "b_e_s", "vector", 2, "rad", "s", "deg")
+# A bias may be two blocks: a constant, which has the name of the bias, and what drifts about it.
+GYRO_DRIFT = Block("gyro_drift", "d_c", "vector", 3, "rad/s", "c", "deg/h")
+ACCELEROMETER_DRIFT = Block("accelerometer_drift", "d_f_c", "vector", 3, "m/s^2", "c", "m/s^2")
+ABSOLUTE_ACCELEROMETER_DRIFT = Block(
+    "absolute_accelerometer_drift", "d_F_c", "vector", 3, "m/s^2", "c", "m/s^2"
+)
+EARTH_SENSOR_DRIFT = Block("earth_sensor_drift", "d_e_s", "vector", 2, "rad", "s", "deg")
+#: By name: of a drift, the bias about which it drifts.
+DRIFTS: Mapping[str, str] = {
+    GYRO_DRIFT.name: GYRO_BIAS.name,
+    ACCELEROMETER_DRIFT.name: ACCELEROMETER_BIAS.name,
+    ABSOLUTE_ACCELEROMETER_DRIFT.name: ABSOLUTE_ACCELEROMETER_BIAS.name,
+    EARTH_SENSOR_DRIFT.name: EARTH_SENSOR_BIAS.name,
+}
 #: artanh of the first two ratios l_x = (J_y - J_z) / J_x, l_y = (J_z - J_x) / J_y of the
 #: principal inertia. With k_z = -(k_x + k_y), l = tanh(k): l_x + l_y + l_z + l_x l_y l_z
 #: = 0 holds by the addition theorem, and every value belongs to a body of positive mass.

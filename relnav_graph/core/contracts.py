@@ -20,6 +20,7 @@ __all__ = [
     "Ambiguous",
     "CopiesBlocks",
     "Derived",
+    "Drifts",
     "Dynamics",
     "IntegratesBySteps",
     "KnowsInertialOrbit",
@@ -296,6 +297,15 @@ class NamesDirections(Protocol):
 
         x: one value per block, (3, 3) or (dim,), SI, in the block's frame.
         """
+
+
+@runtime_checkable
+class Drifts(Protocol):
+    """A model of which a bias may be two blocks, a constant and what drifts about it
+    (`relnav_graph.core.catalogue.DRIFTS`)."""
+
+    def without_drift(self) -> Any:
+        """The model for which there is no such drift; None where nothing is left of it."""
 
 
 @runtime_checkable

@@ -33,6 +33,7 @@ from relnav_graph.registry import find_class
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.sim.contracts import Flight
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
+from relnav_graph.sim.passes import biases_as_in
 from relnav_graph.sim.sensors import check_known, measure_once, stream
 
 __all__ = [
@@ -106,6 +107,7 @@ class ClosedLoop:
         """Store the true state at the present epoch, and simulate its measurements."""
         k = len(self._values)
         values = {**self.scenario.statics, **self._flight.values(), **self._inputs.biases(k)}
+        values = biases_as_in(self.scenario.layout, values)
         self._values.append(values)
         t, t0, found = float(self.times[k]), float(self.times[0]), []
         for name, sensor in self._sensors.items():

@@ -34,6 +34,7 @@ from relnav_graph.scenario.schema import (
     ScenarioError,
     ScenarioFile,
     SensorOptions,
+    besides,
     from_pydantic,
     make_kind,
     named_mount,
@@ -127,14 +128,24 @@ def _check_steps(
 
 
 def _check_room(
-    file: ScenarioFile, inputs: Mapping[str, Any], layout: Layout, problems: Problems
+    file: ScenarioFile,
+    inputs: Mapping[str, Any],
+    options: Mapping[str, SensorOptions],
+    layout: Layout,
+    problems: Problems,
 ) -> None:
     """A simulated pass must fit into memory: of each epoch at least its estimate (with some
     hundred numbers of bookkeeping), of each sample of an input some twenty."""
     step, epochs = file.time.step, file.time.epochs
     if step is None or epochs is None or not file.simulated:
         return
-    asked = [("time.epochs", f"{epochs} epochs", epochs * (layout.dim**2 + 100.0))]
+    each = layout.dim**2 + 100.0
+    asked = [("time.epochs", f"{epochs} epochs", epochs * each)]
+    for name, one in options.items():
+        for own in besides(step, [one]):
+            more = step * epochs / own
+            what = f"a period of {own} s, {more:.3g} epochs"
+            asked.append((f"sensors.{name}.period", what, more * each))
     for name, source in inputs.items():
         if isinstance(period := getattr(source, "period", None), float):
             samples = step * epochs / period
@@ -249,7 +260,7 @@ def make_scenario(
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)
-        _check_room(file, inputs, layout, problems)
+        _check_room(file, inputs, options, layout, problems)
     if problems or file is None or layout is None:
         raise ScenarioError(name, problems)
     compile_ahead(

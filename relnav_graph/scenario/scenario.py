@@ -13,7 +13,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution, orbit_cautions
 from relnav_graph.core.contracts import CopiesBlocks, Dynamics, Mountable, Sensor
 from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
-from relnav_graph.core.epochs import Epoch, make_epochs
+from relnav_graph.core.epochs import Epoch, epoch_times, make_epochs
 from relnav_graph.core.measurement import SAME_TIME, Bridge
 from relnav_graph.core.numbered import families, first_seen, number_in
 from relnav_graph.core.problem import Prior, Problem
@@ -27,6 +27,7 @@ from relnav_graph.scenario.priors import make_prior, numbered_priors
 from relnav_graph.scenario.schema import (
     ScenarioFile,
     SensorOptions,
+    besides,
 )
 from relnav_graph.scenario.true_map import TrueMap
 from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
@@ -90,8 +91,12 @@ class Scenario:
     @property
     def timings(self) -> dict[str, Timing]:
         """How each sensor measures when it is simulated: one that closes loops to a keyframe, after
-        it."""
+        it; one without a period at each of the epochs that [time] names, not at those that another
+        sensor has besides."""
         out = {name: o.timing() for name, o in self.options.items()}
+        if self._besides:
+            step = self.file.time.step
+            out = {n: replace(o, period=o.period or step) for n, o in out.items()}
         for name, sensor in self.sensors.items():
             if (closure := closure_of(name, sensor)) is not None:
                 begin = max(out[name].begin, closure[1] + 2 * SAME_TIME)
@@ -122,11 +127,22 @@ class Scenario:
 
     @property
     def times(self) -> Array:
-        """Epochs (N,) of a simulated pass, s. Raises InputError where [time] names none."""
+        """Epochs (N,) of a simulated pass, s: those that [time] names, and between them those of
+        sensors whose period is no multiple of its step. Raises InputError where it names none."""
         time = self.file.time
         if time.step is None or time.epochs is None:
             raise InputError(f"{self.name}: no step and epochs in [time] to simulate at")
-        return time.step * np.arange(time.epochs, dtype=np.float64)
+        grid = time.step * np.arange(time.epochs, dtype=np.float64)
+        if not self._besides:
+            return grid
+        own = [p * np.arange(int(grid[-1] / p * (1 + 1e-9)) + 1) for p in self._besides]
+        return epoch_times(np.sort(np.concatenate([grid, *own])))
+
+    @property
+    def _besides(self) -> list[float]:
+        """Periods, s, that are no multiples of the step of a simulated pass."""
+        step = self.file.time.step if self.file.simulated else None
+        return sorted(besides(step, self.options.values()))
 
     @property
     def cautions(self) -> tuple[Caution, ...]:
@@ -159,18 +175,10 @@ class Scenario:
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not
         for simulation."""
-        step = self.file.time.step
-        if self.truth is None or step is None:
+        if self.truth is None or self.file.time.step is None:
             raise InputError(
                 f"{self.name}: no [truth] and [time] to simulate from; give recorded data"
             )
-        for name, o in self.options.items():
-            cycles = (o.period or step) / step
-            if cycles < 1 - 1e-6 or abs(cycles - round(cycles)) > 1e-6:
-                raise InputError(
-                    f"{self.name}: sensors.{name}.period: found {o.period} s, expected a multiple"
-                    f" of time.step, {step} s"
-                )
         models, timings = (self.processes, self.true_sensors), (self.timings, self.times)
         found = simulate(self.truth, self.inputs, *models, *timings, seed, run, self.statics)
         return replace(found, truth=found.truth and self._scored(found.truth))

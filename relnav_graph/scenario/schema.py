@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -79,8 +79,9 @@ class ScenarioError(InputError):
 class TimeSettings(BaseModel):
     """The clock of a pass, and the epochs of a simulated one.
 
-    step, epochs: of a simulated pass, which has so many epochs, so far apart, from t = 0;
-    recorded data need neither. origin: what the stamps of files and streams say at t = 0, s: it
+    step, epochs: of a simulated pass, which has so many epochs, so far apart, from t = 0, and
+    between them those of sensors whose period is no multiple of the step; recorded data need
+    neither. origin: what the stamps of files and streams say at t = 0, s: it
     is taken off when they are read, so that numbers stay small, and put back when data are
     written; all other times (`[orbit] epoch`, `evaluate`, results) are of the pass's own clock.
     merge: s, measurements that close to the first of an epoch are of it; 0: only equal stamps.
@@ -171,6 +172,15 @@ class SensorOptions(BaseModel):
         return Timing(self.period, *struck, begin, end, self.law, *few)
 
 
+def besides(step: float | None, options: Iterable[SensorOptions]) -> set[float]:
+    """Periods of sensors, s, that are no multiples of the step of a simulated pass, s: they measure
+    between its epochs, so that it has these besides."""
+    if step is None:
+        return set()
+    periods = {o.period for o in options if o.period is not None}
+    return {p for p in periods if p / step < 1 - 1e-6 or abs(p / step - round(p / step)) > 1e-6}
+
+
 class OnlineSettings(BaseModel):
     """Settings of estimators that take one epoch at a time. window: length of the fixed-lag
     smoother's window, and how late a measurement may come; by default 30 epochs. Also of the batch
@@ -203,11 +213,8 @@ class BlockPrior(BaseModel):
     normalised within 1e-3). Of a family of blocks (`point`, of an unknown map) one prior stands for
     each: values, by default zero, or "measured", which is the same: a point starts from where it is
     first seen, and is within sigma of the target's centre of mass; or "drawn" or "truth", written
-    out, of each its own.
-
-    considered: the block is counted and not estimated (Schmidt 1966): it stays at its mean, and its
-    uncertainty goes into the covariances of all others. `ekf` considers any block, `batch` and
-    `isam2` those that no process advances; other estimators refuse.
+    out, of each its own. considered: not estimated, but counted in the covariances of all others
+    (Schmidt 1966), by `ekf`, and of static blocks by `batch` and `isam2`.
     """
 
     model_config = _STRICT

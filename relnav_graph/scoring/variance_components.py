@@ -5,7 +5,7 @@ whitened residuals e_i of group i after smoothing and sigma_j^2 the ratio of the
 declared variance of group j, E[e_i^T e_i] = sum_j T_ij sigma_j^2, where T_ij = ||Q_ij||^2
 (Frobenius) of the blocks of Q, the projector that gives the residuals of the noises.
 Solving for sigma_j^2 is Helmert's estimate (Helmert 1907; Grafarend 1984; Amiri-Simkooei
-2007, eq. 22), of covariance 2 T^-1 where the declared noises are true.
+2007, eq. 22), of covariance 2 T^-1 where the declared noises are true and T is known.
 """
 
 from __future__ import annotations
@@ -142,18 +142,33 @@ def noise_residuals(
     return NoiseResiduals(by_name, system.cost, coupling)
 
 
+def _of_mean(samples: Array) -> Array:
+    """Covariance (groups, groups) of the mean of independent samples (probes, groups). Of one
+    alone its spread is not known, and taken for none."""
+    count = len(samples)
+    e = samples - samples.mean(axis=0)
+    return np.asarray(e.T @ e / max(count - 1, 1) / count)
+
+
 def estimate_factors(squares: Array, coupling: Array) -> tuple[Array, Array]:
     """Solve T f = squares: true over declared variances f (groups,), and their sigmas (groups,).
 
     squares (groups,): e_i^T e_i summed over runs; coupling (groups, groups): T, summed over the
-    same runs. The sigmas sqrt(2 diag T^-1) hold where all declared noises are true. A group
-    that the data hardly test is left as declared: its factor is 1, its sigma infinite.
+    same runs, or (probes, groups, groups): independent estimates of it, whose mean is taken. The
+    sigmas hold where all declared noises are true: the covariance of f is 2 T^-1, and of estimates
+    T_p besides T^-1 C T^-1 with C that of the mean of T_p 1, by which T f = squares is off. (Of a
+    noise that residuals hardly show, a few probes tell T less well than many runs the squares.) A
+    group that the data hardly test is left as declared: its factor is 1, its sigma infinite.
     """
-    T = 0.5 * (coupling + coupling.T)
+    probes = coupling.reshape(-1, *coupling.shape[-2:])
+    T = probes.mean(axis=0)
+    T = 0.5 * (T + T.T)
     keep = np.diag(T) > 10.0  # below, the factor itself would be known to 45 % at best
     factor, sigma = np.ones(len(T)), np.full(len(T), np.inf)
     if keep.any():
         inner = T[np.ix_(keep, keep)]
         factor[keep] = np.linalg.solve(inner, squares[keep] - T[np.ix_(keep, ~keep)].sum(axis=1))
-        sigma[keep] = np.sqrt(2 * np.diag(np.linalg.inv(inner)))
+        inverse = np.linalg.inv(inner)
+        C = _of_mean(0.5 * (probes + probes.transpose(0, 2, 1)).sum(axis=2))[np.ix_(keep, keep)]
+        sigma[keep] = np.sqrt(np.diag(2 * inverse + inverse @ C @ inverse))
     return factor, sigma

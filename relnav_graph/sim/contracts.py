@@ -128,10 +128,11 @@ class IntervalInstrument(Instrument, Protocol):
 
     @property
     def measures(self) -> Sequence[str]:
-        """Names of the blocks that are its bias."""
+        """Names of the blocks that are its constant bias."""
 
     def begin(self, rng: np.random.Generator) -> Any:
-        """A sampler of the errors: `bias` (3,) now, and `take(edges)` for the next samples."""
+        """A sampler of the errors: `bias` (3,), what it drifts about that now, `drift` (3,), and
+        `take(edges)` for the next samples."""
 
 
 @runtime_checkable

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import DRIFTS
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.copies import with_true_copies
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
+from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth, at_all_times
 from relnav_graph.errors import InputError
 from relnav_graph.sim.contracts import (
@@ -27,6 +29,7 @@ from relnav_graph.sim.instruments.interval_inputs import IntervalInputs, check_s
 from relnav_graph.sim.sensors import Timing, measure_all, stream
 
 __all__ = [
+    "biases_as_in",
     "simulate",
     "with_statics",
 ]
@@ -70,6 +73,16 @@ def _flown(
     steps = [plan.flown(stream(seed, run, f"input {name}")) for name, plan in plans.items()]
     flown = np.concatenate(steps)
     return truth_model.flown(times, rng, flown[np.argsort(flown[:, 0], kind="stable")])
+
+
+def biases_as_in(layout: Layout, values: Mapping[str, Array]) -> dict[str, Array]:
+    """True values by name, (dim,) or (N, dim), SI, with biases as a state has them: where it has
+    no block for what drifts about a constant bias, the bias is the whole of it."""
+    found = dict(values)
+    for drift, bias in DRIFTS.items():
+        if drift in found and drift not in layout and bias in layout:
+            found[bias] = found[bias] + found[drift]
+    return found
 
 
 def with_statics(truth: Truth, statics: Mapping[str, Array]) -> Truth:
@@ -136,6 +149,7 @@ def simulate(
             truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
     if not isinstance(truth_model, DrivenTruth):
         truth = with_statics(truth, statics or {})
+        truth = replace(truth, values=biases_as_in(layout, truth.values))
     known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
     for name, values in known.items():
         bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)

@@ -49,10 +49,10 @@ class RowRuns:
     static (of static blocks at the last epoch, by block and key; "" stands for all jointly),
     aligned (of what the alignment of the map leaves, by state and key; "" stands for the map),
     sensor (of innovations, by sensor and key), squares (of whitened residuals, by noise).
-    Sums over runs, for means: series (states + 1, 3, bins), nis (sensors, bins), coupling
-    (noises, noises). static_units: of static blocks and aligned states; freedoms: degrees of
-    freedom of one run, by state, and "joint"; bad: run, status and message where the status is not
-    ok; rejected: observations, by sensor.
+    Sums over runs, for means: series (states + 1, 3, bins), nis (sensors, bins). coupling: one
+    (noises, noises) of each run that has it, few at most. static_units: of static blocks and
+    aligned states; freedoms: degrees of freedom of one run, by state, and "joint"; bad: run, status
+    and message where the status is not ok; rejected: observations, by sensor.
     """
 
     kind: Kind = "filtered"
@@ -70,7 +70,7 @@ class RowRuns:
     series: _Sum = field(default_factory=_Sum)
     nis: _Sum = field(default_factory=_Sum)
     squares: dict[str, list[float]] = field(default_factory=dict)
-    coupling: _Sum = field(default_factory=_Sum)
+    coupling: list[Array] = field(default_factory=list)
 
     def of(self, state: str, key: str) -> Array:
         """A number per run, (runs,)."""
@@ -180,7 +180,9 @@ def _add(found: Collected, record: RunRecord) -> None:
         if "cost" in residuals:
             _put(row.own, "cost", residuals["cost"], before)
         if f"coupling {name}" in record.series:
-            row.coupling.add(record.series[f"coupling {name}"])
+            coupling = record.series[f"coupling {name}"]
+            if not row.coupling or row.coupling[0].shape == coupling.shape:
+                row.coupling.append(coupling)
         for state, value in values.get("bound", {}).items():
             _put(found.own_bound, (name, state), value, before)
     for name, cautions in scalars.get("cautions", {}).items():

@@ -77,7 +77,7 @@ def _noises(row: RowRuns) -> list[dict[str, Any]]:
     squares = np.array([row.squares[n] for n in names])  # (groups, runs)
     runs = int(np.isfinite(squares).all(axis=0).sum())
     total = np.where(np.isfinite(squares), squares, 0.0).sum(axis=1)
-    variance, sigma = estimate_factors(total, runs * row.coupling.mean)
+    variance, sigma = estimate_factors(total, runs * np.array(row.coupling))
     out = []
     for name, v, s in zip(names, variance.tolist(), sigma.tolist(), strict=True):
         tested = math.isfinite(s) and name != PRIOR
@@ -135,7 +135,7 @@ def _best_smoothed(found: Collected) -> str | None:
     costs = {
         name: float(np.nanmean(row.own["cost"]))
         for name, row in found.rows.items()
-        if "cost" in row.own and row.coupling.total is not None
+        if "cost" in row.own and row.coupling
     }
     return min(costs, key=costs.__getitem__) if costs else None
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from draws import draw_block
 from example_kinds import DynamicsExample, SensorExample, reads_of
-from examples import EXAMPLES, stereo
+from example_makers import stereo
+from examples import EXAMPLES
 from passes import ZHANG
 from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
 from relnav_factors.dynamics.euler_rotation import EulerRotation

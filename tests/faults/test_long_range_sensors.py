@@ -38,6 +38,7 @@ KINDS = ("ekf", "fixed_lag")
 def _scenario(epochs: int) -> Scenario:
     slow = [f'inputs.{name}.period="0.25 s"' for name in ("gyro", "accelerometer")]
     settings = [f"time.epochs={epochs}", 'online.window="12 s"', *slow]
+    settings.append('sensors.earth_sensor.period="2 s"')  # epochs a second apart
     return load_scenario(EXPERIMENTS / "yang2016.toml", settings)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 import relnav_factors
 from example_kinds import SensorExample
-from examples import BEACONS, EXAMPLES, LOW, MOUNTED, gyro_model
+from example_makers import BEACONS, LOW, MOUNTED, gyro_model
+from examples import EXAMPLES
 from relnav_factors.derived.inertia_ratios import InertiaRatios
 from relnav_factors.derived.relative_pose import PositionInTarget, RelativeAttitude
 from relnav_factors.dynamics.euler_rotation import EulerRotation

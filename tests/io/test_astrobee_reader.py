@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import HU_INERTIA
+from example_makers import HU_INERTIA
 from passes import EXPERIMENTS
 from relnav_factors.derived.relative_pose import TargetRateInChaser
 from relnav_factors.sensors.pose_odometry import PoseOdometry

@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 import pytest
 from draws import REGIMES
-from examples import BEACONS, MOUNTED
+from example_makers import BEACONS, MOUNTED
 from numeric import assert_jacobian, differences, steps_for
 from relnav_factors.sensors.stereo_point import StereoPointCartesian
 from test_conformance import DYNAMICS, looks, seed_of, sizes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from examples import HU_INERTIA
+from example_makers import HU_INERTIA
 from passes import EXPERIMENTS
 from relnav_factors.derived.inertia_ratios import InertiaMatrixRatios
 from relnav_factors.dynamics.euler_rotation import EulerRotation

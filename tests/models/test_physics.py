@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import gyro_model
+from example_makers import gyro_model
 from relnav_factors.derived.inertia_ratios import InertiaRatios
 from relnav_factors.dynamics.body_velocity import BodyVelocity
 from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion

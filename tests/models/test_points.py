@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from example_kinds import SensorExample
-from examples import BEACONS, EXAMPLES, mono, stereo
+from example_makers import BEACONS, mono, stereo
+from examples import EXAMPLES
 from relnav_factors.sensors.beacon_los import BeaconLineOfSight
 from relnav_factors.sensors.stereo_point import StereoPointCartesian
 

@@ -377,16 +377,23 @@ def test_period_of_a_sensor() -> None:
     assert [m.t for m in recording.measurements] == [0.0, 4.0, 8.0]
 
 
+def test_a_period_between_the_epochs_brings_epochs_of_its_own() -> None:
+    """Every 1.5 steps: one epoch more in three, at which nobody else measures."""
+    fix = 'sensors.first={kind="toy_model:PositionFix", covariance=[[1,0,0],[0,1,0],[0,0,1]]}'
+    recording = _toy('sensors.ranger.period="3 s"', fix).simulate(0)
+    grid, own = {0.0, 2.0, 4.0, 6.0, 8.0}, {0.0, 3.0, 6.0}
+    assert recording.times.tolist() == sorted(grid | own)
+    for sensor, times in (("ranger", own), ("first", grid)):
+        assert {m.t for m in recording.measurements if m.sensor == sensor} == times
+
+
 def test_orbit_of_the_scenario_reaches_every_model_that_asks() -> None:
     scenario = load_scenario(ZHANG)
     orbits = [getattr(p, "orbit", None) for p in scenario.processes.values()]
     assert len([o for o in orbits if o is not None and o.semi_major_axis == 7.2e6]) == 3
     assert scenario.truth.semi_major_axis == 7.2e6
-    np.testing.assert_allclose(
-        so3.exp(scenario.truth.target_attitude).T @ so3.exp(np.array([10.0, -20.0, 30.0]) * DEGREE),
-        np.eye(3),
-        atol=1e-15,
-    )
+    own, given = scenario.truth.target_attitude, np.array([10.0, -20.0, 30.0]) * DEGREE
+    np.testing.assert_allclose(so3.exp(own).T @ so3.exp(given), np.eye(3), atol=1e-15)
 
 
 def test_every_experiment_is_found() -> None:

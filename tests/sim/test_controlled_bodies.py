@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import HU_INERTIA
+from example_makers import HU_INERTIA
 from relnav_factors.dynamics.gravity_gradient_rotation import GravityGradientRotation
 
 from relnav_graph.arrays import Array

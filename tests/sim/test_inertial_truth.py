@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import HU_INERTIA
+from example_makers import HU_INERTIA
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Truth

@@ -12,11 +12,14 @@ from scipy.integrate import solve_ivp
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import EARTH_RADIUS, MU_EARTH, ZONAL_EARTH
+from relnav_graph.core.catalogue import GYRO_BIAS, GYRO_DRIFT
+from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
 from relnav_graph.runs.closed_loop import fly_all
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.sim.control.rendezvous import Rendezvous
+from relnav_graph.sim.passes import biases_as_in
 from relnav_graph.sim.truths.powered_dynamics import gravity
 from relnav_graph.sim.truths.powered_orbits import PoweredOrbits
 
@@ -129,7 +132,7 @@ def test_noise_does_not_depend_on_the_command() -> None:
     for k in range(5):
         one.advance(k + 1.0, None, {})
         other.advance(k + 1.0, np.full(3, 20.0), {})
-    for name in ("clock_bias", "clock_drift", "earth_sensor_bias"):
+    for name in ("clock_bias", "clock_drift", "earth_sensor_drift"):
         np.testing.assert_array_equal(one.values()[name], other.values()[name])
 
 
@@ -156,6 +159,40 @@ def test_the_regulator_brings_the_chaser_to_two_kilometres() -> None:
     assert max(sizes) == pytest.approx(50.0)
     assert sizes[-1] < 0.5
     assert np.linalg.norm(flight.values()["relative_position"]) == pytest.approx(2e3, abs=10.0)
+
+
+BIASES = {
+    "accelerometer_bias": (1e-3, 1e-4),
+    "gyro_bias": (np.radians(3.5 / 3600), np.radians(0.15 / 3600)),
+    "earth_sensor_bias": (np.radians(0.05), np.radians(0.005)),
+}
+
+
+def test_the_biases_of_yang2016_do_not_decay() -> None:
+    """As printed: a constant for three hours, and a drift about it that has its sigma throughout.
+    In steps of ten seconds, which changes nothing of what the instruments' errors are."""
+    slow = [f'inputs.{name}.period="10 s"' for name in ("gyro", "accelerometer")]
+    settings = ['time.step="10 s"', "time.epochs=1081", 'sensors.earth_sensor.period="10 s"']
+    scenario = load_scenario(YANG, [*settings, *slow])
+    truths = [scenario.simulate(seed).truth for seed in range(4)]
+    for bias, (constant, sigma) in BIASES.items():
+        values = [truth.values for truth in truths if truth is not None]
+        assert len(values) == 4
+        for own in values:
+            np.testing.assert_array_equal(own[bias], np.full_like(own[bias], constant))
+        drifts = np.array([own[bias.replace("_bias", "_drift")] for own in values])
+        thirds = np.split(drifts[:, :1080], 3, axis=1)
+        for third in thirds:
+            whole = constant + third
+            assert np.abs(whole.mean() - constant) < sigma
+            assert 0.4 * sigma < np.sqrt((third**2).mean()) < 1.6 * sigma
+
+
+def test_a_state_without_drifts_has_biases_as_a_whole() -> None:
+    values = {"gyro_bias": np.ones(3), "gyro_drift": np.full(3, 0.25), "clock_drift": np.ones(1)}
+    divided, whole = Layout([GYRO_BIAS, GYRO_DRIFT]), Layout([GYRO_BIAS])
+    np.testing.assert_array_equal(biases_as_in(divided, values)["gyro_bias"], np.ones(3))
+    np.testing.assert_array_equal(biases_as_in(whole, values)["gyro_bias"], np.full(3, 1.25))
 
 
 @cache

@@ -80,36 +80,41 @@ def test_a_fast_turn_stays_in_as_many_rows_as_it_needs() -> None:
         StrapdownGyro(
             period=0.02,
             angle_random_walk_density=1e-4,
-            bias_sigma=1e-3,
-            bias_time_constant=30.0,
-            initial_bias=np.full(3, 0.01),
+            drift_sigma=1e-3,
+            drift_time_constant=30.0,
+            constant_bias=np.full(3, 0.01),
         ),
         StrapdownAccelerometer(
             period=0.02,
             velocity_random_walk_density=1e-4,
-            bias_sigma=1e-3,
-            bias_time_constant=30.0,
-            initial_bias=np.full(3, 0.01),
+            drift_sigma=1e-3,
+            drift_time_constant=30.0,
+            constant_bias=np.full(3, 0.01),
         ),
     ],
     ids=lambda s: s.kind,
 )
 def test_errors_are_as_declared(source: StrapdownGyro | StrapdownAccelerometer) -> None:
-    """White noise of density n has the variance n^2 / dt; a bias forgets where it began and
-    keeps its standard deviation; the same numbers come in whatever intervals."""
+    """White noise of density n has the variance n^2 / dt; the bias does not decay; what drifts
+    about it has its standard deviation from the start and forgets where it began; the same numbers
+    come in whatever intervals."""
     sampler = source.begin(np.random.default_rng(0))
-    errors, biases = [], []
+    errors, drifts = [], []
     for k in range(6000):
         errors.append(sampler.take(source.edges(float(k), k + 1.0)))
-        biases.append(sampler.bias)
-    b, e = np.array(biases), np.array(errors)
+        drifts.append(sampler.drift)
+        np.testing.assert_array_equal(sampler.bias, np.full(3, 0.01))
+    drift, e = np.array(drifts), np.array(errors)
     assert e.shape == (6000, 50, 3)
-    late = b[300:]
-    assert late.std() == pytest.approx(1e-3, rel=0.1)
-    assert np.abs(b[0] - 0.01).max() < 1e-3
-    one = np.mean(late[30:] * late[:-30]) / np.mean(late**2)
+    assert drift.std() == pytest.approx(1e-3, rel=0.1)
+    # The mean of 200 correlation times: within 3 sigma of the constant, of which none decays.
+    assert np.abs(e.mean(axis=(0, 1)) - 0.01).max() < 3 * 1e-3 * np.sqrt(2 / 200)
+    assert np.abs(e[3000:].mean(axis=(0, 1)) - 0.01).max() < 3 * 1e-3 * np.sqrt(2 / 100)
+    one = np.mean(drift[30:] * drift[:-30]) / np.mean(drift**2)
     assert one == pytest.approx(np.exp(-1), abs=0.1)
     white = (e - e.mean(axis=1, keepdims=True)).std() * np.sqrt(50 / 49)
     assert white == pytest.approx(1e-4 / np.sqrt(0.02), rel=0.02)
     again = source.begin(np.random.default_rng(0))
     np.testing.assert_array_equal(again.take(source.edges(0.0, 1.0)), errors[0])
+    begins = [source.begin(np.random.default_rng(seed)).drift for seed in range(200)]
+    assert np.std(begins) == pytest.approx(1e-3, rel=0.1)

@@ -84,6 +84,33 @@ def test_factors_solve_the_normal_equations() -> None:
     assert np.isinf(sigma[2])  # hardly tested
 
 
+def test_factors_are_as_uncertain_as_a_few_probes_leave_them() -> None:
+    """A random walk under noise 30 times as large: residuals hardly show its steps. Of many runs,
+    with the coupling of eight probes, the factors scatter as their sigmas say, which the number of
+    runs alone would put far lower."""
+    count, runs, probes, rng = 150, 200, 8, np.random.default_rng(5)
+    steps = 30.0 * (np.eye(count)[1:] - np.eye(count)[:-1])
+    A = np.vstack([np.eye(count), steps])
+    Q = np.eye(len(A)) - A @ np.linalg.pinv(A)
+    groups = [slice(0, count), slice(count, len(A))]
+    T = np.array([[(Q[a, b] ** 2).sum() for b in groups] for a in groups])
+    scores, alone = [], []
+    for _ in range(150):
+        e = Q @ rng.standard_normal((len(A), runs))
+        squares = np.array([(e[g] ** 2).sum() for g in groups])
+        found = np.zeros((probes, 2, 2))
+        for one in found:
+            z = rng.choice((-1.0, 1.0), len(A))
+            one[:] = [[((Q[a, b] @ z[b]) ** 2).sum() for b in groups] for a in groups]
+        factor, sigma = estimate_factors(squares, runs * found)
+        scores.append((factor - 1) / sigma)
+        alone.append((factor - 1) / np.sqrt(2 * np.diag(np.linalg.inv(runs * T))))
+    spread, naive = np.sqrt(np.mean(np.square(scores), axis=0)), np.std(alone, axis=0)
+    assert naive[1] > 2
+    assert (spread < 1.4).all()
+    assert (spread > 0.7).all()
+
+
 def _verdict(settings: tuple[str, ...], seed: int, runs: int, kinds: tuple[str, ...]) -> Any:
     scenario = load_scenario(ZHANG, ("time.epochs=40", *settings))
     spec = StudySpec.of(scenario, seed, kinds)

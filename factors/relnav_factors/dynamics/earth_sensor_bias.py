@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from relnav_factors.shared.gauss_markov import GaussMarkov
+from relnav_graph.core.catalogue import EARTH_SENSOR_BIAS, EARTH_SENSOR_DRIFT
 from relnav_graph.core.state import Block
 from relnav_graph.units import Quantity
-
-EARTH_SENSOR_BIAS = Block("earth_sensor_bias", "b_e_s", "vector", 2, "rad", "s", "deg")
 
 
 @dataclass(frozen=True, kw_only=True)
 class EarthSensorBias(GaussMarkov):
-    """b' = -b / T + white, of both angles of an Earth sensor, as in Yang et al. 2016.
+    """b' = -b / T + white, of both angles of an Earth sensor, or of their drift about a constant.
 
-    sigma: rad, standard deviation of each angle in the long run; time_constant: T, s.
+    sigma: rad, standard deviation of each angle in the long run; time_constant: T, s; part:
+    see `GaussMarkov`. Yang et al. 2016 have a constant and a drift.
     """
 
     kind: ClassVar[str] = "earth_sensor_bias"
@@ -25,4 +25,4 @@ class EarthSensorBias(GaussMarkov):
 
     @property
     def advances(self) -> tuple[Block, ...]:
-        return (EARTH_SENSOR_BIAS,)
+        return (EARTH_SENSOR_BIAS if self.part == "bias" else EARTH_SENSOR_DRIFT,)

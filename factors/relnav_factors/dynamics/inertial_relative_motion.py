@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_factors.dynamics.accelerometer_bias import Navigation
-from relnav_factors.shared.driven_orbit import OTHERS, DrivenOrbit, drive
+from relnav_factors.shared.driven_orbit import OTHERS, DrivenOrbit, add_drifts, drive, put_drifts
 from relnav_factors.shared.gravity import Degree
 from relnav_factors.shared.orbit_steps import FAILURES, orbit_status
 from relnav_graph.arrays import Array
@@ -27,14 +27,16 @@ from relnav_graph.maths import dense
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """``r_tc'' = R_ic (f - b_f) + g(r_c) - g(r_c - r_tc)``, see `drive`.
 
-    p (7,): field (5,), velocity random walk density (m/s^1.5), longest step (s). u (rows, 7): dt
-    (s), w_ci_c (rad/s), f in c (m/s^2). x (27,): r_tc_i (m), v_tc_i (m/s), R_ic row by row, b_g
-    (rad/s), b_f (m/s^2), r_c_i, v_c_i. x_next (6,): r_tc_i, v_tc_i. F (6, 21), Q (6, 6), SI.
+    p (9,): see `DrivenOrbit.constants`. u (rows, 7): dt (s), w_ci_c (rad/s), f in c (m/s^2). x
+    (27,): r_tc_i (m), v_tc_i (m/s), R_ic row by row, b_g (rad/s), b_f (m/s^2), r_c_i, v_c_i, and 3
+    more of each that drifts. x_next (6,): r_tc_i, v_tc_i. F (6, 21), and 3 columns more of each, Q
+    (6, 6), SI.
     """
     y = np.empty(12)
     for i in range(6):
         y[i], y[6 + i] = x[i], x[21 + i]
     R_ic, b_g, b_f = dense.matrix_at(x, 6), dense.vector_at(x, 15), dense.vector_at(x, 18)
+    add_drifts(p, x, 27, b_g, b_f)
     first = y.copy()
     y, S, noise = drive(p, u, y, R_ic, b_g, b_f)
     status = orbit_status(first, y, S)
@@ -46,6 +48,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             F[i, j], F[i, 6 + OTHERS + j] = S[i, j], S[i, 6 + j]
         for j in range(OTHERS):
             F[i, 6 + j] = S[i, 12 + j]
+    put_drifts(p, F, 9, 21)
     dense.put_block(Q, 0, 0, noise, 1.0)
     return 0
 
@@ -62,6 +65,7 @@ class InertialRelativeMotion(DrivenOrbit):
     kind: ClassVar[str] = "inertial_relative_motion"
     kernel = staticmethod(kernel)
     failures = FAILURES
+    besides = (CHASER_POSITION, CHASER_VELOCITY)
 
     degree: Degree = 2
     navigation: Navigation = "relative"
@@ -69,7 +73,3 @@ class InertialRelativeMotion(DrivenOrbit):
     @property
     def advances(self) -> tuple[Block, ...]:
         return RELATIVE_POSITION, RELATIVE_VELOCITY
-
-    @property
-    def reads(self) -> tuple[Block, ...]:
-        return (*super().reads, CHASER_POSITION, CHASER_VELOCITY)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from relnav_factors.dynamics.earth_sensor_bias import EARTH_SENSOR_BIAS
-from relnav_factors.shared.mounting import MountedSensor, mounting_of
+from relnav_factors.shared.mounting import MountedSensor, mounting_of, without_mounting
 from relnav_factors.shared.statuses import degenerate, length_status
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.core.catalogue import CHASER_ATTITUDE, CHASER_POSITION
+from relnav_graph.core.catalogue import (
+    CHASER_ATTITUDE,
+    CHASER_POSITION,
+    EARTH_SENSOR_BIAS,
+    EARTH_SENSOR_DRIFT,
+)
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
@@ -42,8 +46,9 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
     """``r = (atan2(e_y, e_z), atan2(e_x, e_z)) + b - z``, see `earth_in_sensor`.
 
     p (13,): of the mounting. q (0,). z (2,): roll, pitch, rad. x (14,): R_ic row by row, r_c_i (m),
-    b (2,), rad; then (9,): R_ns of an estimated mounting. r (2,), rad. H (2, 8) to (R_ic, r_c_i,
-    b), and 3 columns more for the mounting. Status 1: the Earth is behind; or that of
+    b (2,), rad; then (2,): what drifts about b, if it does, rad; then (9,): R_ns of an estimated
+    mounting. r (2,), rad. H (2, 8) to (R_ic, r_c_i, b), and 2 columns more for the drift, 3 for the
+    mounting. Status 1: the Earth is behind; or that of
     `length_status` for its distance.
     """
     e, de = earth_in_sensor(dense.matrix_at(mounting_of(p, x), 0), x)
@@ -53,18 +58,21 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
         return status
     if e[2] <= 0.0:
         return 1
+    biases = without_mounting(p, x).shape[0] - 12
     for i in range(2):
         side = e[1] if i == 0 else e[0]
         square = side * side + e[2] * e[2]
         r[i] = np.arctan2(side, e[2]) + x[12 + i] - z[i]
+        if biases > 2:
+            r[i] += x[14 + i]
         for j in range(6):
             d_side = de[1, j] if i == 0 else de[0, j]
             H[i, j] = (e[2] * d_side - side * de[2, j]) / square
-        H[i, 6] = 1.0 if i == 0 else 0.0
-        H[i, 7] = 1.0 if i == 1 else 0.0
+        for j in range(biases):
+            H[i, 6 + j] = 1.0 if j % 2 == i else 0.0
         for j in range(int(p[12])):
             d_side = to_mounting[1, j] if i == 0 else to_mounting[0, j]
-            H[i, 8 + j] = (e[2] * d_side - side * to_mounting[2, j]) / square
+            H[i, 6 + biases + j] = (e[2] * d_side - side * to_mounting[2, j]) / square
     return 0
 
 
@@ -76,8 +84,8 @@ class EarthSensor(MountedSensor):
     Earth; each has a bias of its own (`EarthSensorBias`). As used by Yang et al. 2016; the
     Earth is a sphere. o must not rotate: it is i.
 
-    sigma: rad, white, of each angle; sensor_attitude: R_cs. Raises InputError when it is not
-    a rotation within 1e-6.
+    sigma: rad, white, of each angle; drift: whether what drifts about a constant bias is a block of
+    its own; sensor_attitude: R_cs. Raises InputError when it is not a rotation within 1e-6.
     """
 
     kind: ClassVar[str] = "earth_sensor"
@@ -92,10 +100,16 @@ class EarthSensor(MountedSensor):
     }
 
     sigma: Annotated[float, Quantity("rad", positive=True)]
+    drift: bool = False
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return CHASER_ATTITUDE, CHASER_POSITION, EARTH_SENSOR_BIAS, *self.mounting_blocks
+        biases = (EARTH_SENSOR_BIAS, EARTH_SENSOR_DRIFT) if self.drift else (EARTH_SENSOR_BIAS,)
+        return CHASER_ATTITUDE, CHASER_POSITION, *biases, *self.mounting_blocks
+
+    def without_drift(self) -> Self:
+        """The same with a constant bias, see `relnav_graph.core.contracts.Drifts`."""
+        return replace(self, drift=False)
 
     def accept(self, z: Array) -> Array:
         """z (k, 2), rad. Raises InputError on angles too large to be in rad."""

@@ -60,10 +60,12 @@ class GpsPseudorange(SensorModel):
 
     Simulated satellites fly on circles, evenly spread over `planes` planes (Walker 1984):
     sigma: m, white; satellites: their number; planes: of orbits; inclination: rad;
-    semi_major_axis: m; mask: lowest elevation above the chaser's own horizon, rad; time: s,
-    of the constellation, which the simulator sets.
+    semi_major_axis: m; mask: lowest elevation above the chaser's own horizon, rad; main_lobe: how
+    far from their nadir they are heard, rad, None: in all directions; side_lobe: between which
+    angles from it they are heard besides, rad; time: s, of the constellation, which the simulator
+    sets.
 
-    Raises InputError when the satellites do not fill the planes.
+    Raises InputError when the satellites do not fill the planes, and on a side lobe that is none.
     """
 
     kind: ClassVar[str] = "gps_pseudorange"
@@ -78,6 +80,8 @@ class GpsPseudorange(SensorModel):
     inclination: Annotated[float, Quantity("rad")] = 0.96
     semi_major_axis: Annotated[float, Quantity("m", positive=True)] = 2.656e7
     mask: Annotated[float, Quantity("rad")] = 0.1
+    main_lobe: Annotated[float | None, Quantity("rad", positive=True)] = None
+    side_lobe: Annotated[Array | None, Quantity("rad", (2,), nonnegative=True)] = None
     time: Annotated[float, Quantity("s")] = 0.0
 
     def __post_init__(self) -> None:
@@ -87,6 +91,13 @@ class GpsPseudorange(SensorModel):
                 f"{self.kind}: found {self.satellites} satellites in {self.planes} planes,"
                 " expected as many in each"
             )
+        if self.side_lobe is not None:
+            least = self.main_lobe
+            if least is None or not least <= self.side_lobe[0] < self.side_lobe[1] <= np.pi:
+                raise InputError(
+                    f"{self.kind}.side_lobe: found {self.side_lobe} rad, expected two angles in"
+                    f" order, not inside the main_lobe, {least} rad, and at most pi"
+                )
 
     @property
     def reads(self) -> tuple[Block, ...]:
@@ -131,7 +142,8 @@ class GpsPseudorange(SensorModel):
         return self.semi_major_axis * np.stack([x, y, height], axis=1)
 
     def _seen(self, ids: Indices, r_c: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Places (k, 3), m, and which of them are below the mask or behind the Earth (k,)."""
+        """Places (k, 3), m, and which of them are not heard (k,): below the mask, behind the Earth,
+        or turned away."""
         places = self.places(ids)
         line = places - r_c
         distance = np.sqrt((line**2).sum(axis=1))
@@ -139,18 +151,26 @@ class GpsPseudorange(SensorModel):
         # At the Earth's centre all of them are behind it.
         along = line @ r_c / np.maximum(distance * np.sqrt(square), 1e-30)
         behind = (along < 0) & (square * (1 - along**2) < EARTH_RADIUS**2)
-        return places, (along < np.sin(self.mask)) | behind
+        hidden: NDArray[np.bool_] = (along < np.sin(self.mask)) | behind
+        if self.main_lobe is not None:
+            nadir = -places / self.semi_major_axis
+            off = np.arccos(np.clip((nadir * -line).sum(axis=1) / distance, -1, 1))
+            heard = off <= self.main_lobe
+            if self.side_lobe is not None:
+                heard |= (off >= self.side_lobe[0]) & (off <= self.side_lobe[1])
+            hidden |= ~heard
+        return places, hidden
 
     def in_view(self, ids: Indices, *x: Array) -> Indices:
-        """Those above the mask and not behind the Earth."""
+        """Those above the mask, not behind the Earth, and with a lobe towards the chaser."""
         return ids[~self._seen(ids, x[0])[1]]
 
     def predict(self, ids: Indices, *x: Array) -> Array:
         """Pseudorange and place (k, 4), m. Raises GeometryError when a satellite is below
-        the mask or behind the Earth."""
+        the mask, behind the Earth, or turned away."""
         places, hidden = self._seen(ids, x[0])
         if hidden.any():
-            raise GeometryError(f"{self.kind}: satellite {ids[hidden][0]} is below the mask")
+            raise GeometryError(f"{self.kind}: satellite {ids[hidden][0]} is not heard")
         at_zero = np.hstack([np.zeros((len(ids), 1)), places])
         return np.hstack([self._call("", ids, at_zero, x)[0], places])
 

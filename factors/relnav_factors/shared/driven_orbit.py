@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from relnav_factors.dynamics.accelerometer_bias import Navigation, bias_block
+from relnav_factors.dynamics.accelerometer_bias import Navigation, bias_block, drift_block
 from relnav_factors.shared.gravity import FIELD, Degree, earth_field
 from relnav_factors.shared.orbit_steps import coast
 from relnav_factors.shared.strapdown import (
@@ -20,7 +20,7 @@ from relnav_factors.shared.strapdown import (
 from relnav_factors.shared.thrust import THRUST
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS
+from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS, GYRO_DRIFT
 from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
@@ -28,6 +28,35 @@ from relnav_graph.units import Quantity
 
 # Columns of the sensitivities after those of the orbits: R_ic, gyro bias, accelerometer bias.
 ATTITUDE, GYRO, FORCE, OTHERS = 0, 3, 6, 9
+# Where p says whether gyro and accelerometer drift about constant biases.
+_GYRO_DRIFTS, _FORCE_DRIFTS = FIELD + 2, FIELD + 3
+
+
+@jit
+def add_drifts(p: Array, x: Array, first: int, b_g: Array, b_f: Array) -> None:
+    """Add to the biases what drifts about them, in place: b_g (3,), rad/s, b_f (3,), m/s^2.
+
+    p: (9,), see `DrivenOrbit.constants`; x: from `first` on the drifts that there are, alike.
+    """
+    for drifts, bias in ((p[_GYRO_DRIFTS], b_g), (p[_FORCE_DRIFTS], b_f)):
+        if drifts > 0.0:
+            for i in range(3):
+                bias[i] += x[first + i]
+            first += 3
+
+
+@jit
+def put_drifts(p: Array, F: Array, bias: int, first: int) -> None:
+    """Fill the columns of F (6, m) to drifts, from `first` on, with those to the biases, SI.
+
+    p: (9,), see `DrivenOrbit.constants`; bias: the first column to b_g, before those to b_f.
+    """
+    for drifts, own in ((p[_GYRO_DRIFTS], bias), (p[_FORCE_DRIFTS], bias + FORCE - GYRO)):
+        if drifts > 0.0:
+            for i in range(6):
+                for j in range(3):
+                    F[i, first + j] = F[i, own + j]
+            first += 3
 
 
 @jit
@@ -36,7 +65,7 @@ def drive(
 ) -> tuple[Array, Array, Array]:
     """An orbit over an interval of strapdown samples, its sensitivity and its noise.
 
-    p: (7,): field (5,), density of the velocity's random walk (m/s^1.5), longest step (s); u:
+    p: (9,): field (5,), density of the velocity's random walk (m/s^1.5), longest step (s); u:
     (rows, 7): dt (s), w_ci_c (rad/s), f in c (m/s^2); y: (n,): r_c (m), v_c (m/s), or r_tc, v_tc,
     r_c, v_c, in i; R_ic: (3, 3); b_g: (3,), rad/s; b_f: (3,), m/s^2. Returns y at the end, its
     sensitivity (n, n + 9) to y, R_ic, b_g and b_f, and the covariance (6, 6) of the noise of its
@@ -82,27 +111,47 @@ class DrivenOrbit(DynamicsModel):
 
     velocity_random_walk_density: m/s^1.5, white noise of the accelerometer, per axis; degree:
     of the highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step;
-    navigation: which estimate of the accelerometer's bias it takes.
+    navigation: which estimate of the accelerometer's bias it takes; gyro_drift and
+    accelerometer_drift: whether what drifts about a constant bias is a block of its own.
     """
 
     #: o does not turn.
     orbit: ClassVar[None] = None
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = STRAPDOWN_INPUTS
     noises: ClassVar[tuple[str, ...]] = ("velocity_random_walk_density",) * 2
+    #: Blocks that a model reads besides.
+    besides: ClassVar[tuple[Block, ...]] = ()
 
     velocity_random_walk_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     degree: Degree
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
     navigation: Navigation
+    gyro_drift: bool = False
+    accelerometer_drift: bool = False
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        """In the order of `drive`."""
-        return CHASER_ATTITUDE, GYRO_BIAS, bias_block(self.navigation)
+        """In the order of `drive`, then those of the model alone, then the drifts."""
+        biased = CHASER_ATTITUDE, GYRO_BIAS, bias_block(self.navigation)
+        return *biased, *self.besides, *self.drifts
+
+    @property
+    def drifts(self) -> tuple[Block, ...]:
+        """What drifts about constant biases."""
+        own = drift_block(self.navigation)
+        return (GYRO_DRIFT,) * self.gyro_drift + (own,) * self.accelerometer_drift
+
+    def without_drift(self) -> Self:
+        """The same with constant biases, see `relnav_graph.core.contracts.Drifts`."""
+        return replace(self, gyro_drift=False, accelerometer_drift=False)
 
     def constants(self) -> Array:
+        """(9,): field (5,), density of the velocity's random walk (m/s^1.5), longest step (s), 1 or
+        0 each: whether the gyro and the accelerometer drift."""
         own = [self.velocity_random_walk_density, self.max_step]
-        return np.concatenate([earth_field(self.degree), own])
+        return np.concatenate(
+            [earth_field(self.degree), own, [self.gyro_drift, self.accelerometer_drift]]
+        )
 
     def condense(self, u: Array) -> Array:
         """The samples of an interval, (rows, 7), as one row, or a few in a fast turn."""

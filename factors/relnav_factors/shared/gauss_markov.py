@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.models import DynamicsModel
 from relnav_graph.units import Quantity
+
+#: What of a bias a process advances: the bias as a whole, or what drifts about a constant one.
+Part = Literal["bias", "drift"]
 
 
 @jit
@@ -67,7 +70,8 @@ class GaussMarkov(DynamicsModel):
     (1 - exp(-2 h / T)) (Gelb 1974, example 3.8-1). A bias that is constant needs no process: read
     and not advanced, it is a static block.
 
-    time_constant: T, s.
+    time_constant: T, s; part: "bias", or "drift": what drifts about a constant bias, which is a
+    static block of its own.
     """
 
     noises: ClassVar[tuple[str, ...]] = ("sigma",)
@@ -75,6 +79,11 @@ class GaussMarkov(DynamicsModel):
 
     sigma: float  # each kind has a unit of its own
     time_constant: Annotated[float, Quantity("s", positive=True)]
+    part: Part = "bias"
+
+    def without_drift(self) -> Self | None:
+        """None where it is a drift, see `relnav_graph.core.contracts.Drifts`."""
+        return None if self.part == "drift" else self
 
     def constants(self) -> Array:
         return np.array([self.time_constant, self.sigma])

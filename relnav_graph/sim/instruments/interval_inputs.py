@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import DRIFTS
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
 from relnav_graph.memory import check_room
@@ -64,11 +65,13 @@ class IntervalInputs:
                 self._truths[f"{name}_bias"] = bias[np.searchsorted(edges, times - SAME_TIME)]
 
     def biases(self, k: int) -> dict[str, Array]:
-        """True biases (3,) by block name at epoch k, the newest one flown; SI, in the
-        instrument's axes."""
+        """True biases, and drifts about them, (3,) by block name at epoch k, the newest one flown;
+        SI, in the instrument's axes."""
         found = {name: values[k] for name, values in self._truths.items()}
         for source, sampler in self._samplers.values():
             found |= dict.fromkeys(source.measures, sampler.bias)
+            drifts = (name for name, bias in DRIFTS.items() if bias in source.measures)
+            found |= dict.fromkeys(drifts, sampler.drift)
         return found
 
     def edges(self, t0: float, t1: float) -> dict[str, Array]:

@@ -1,5 +1,6 @@
 """Strapdown gyro and accelerometer: what they read, given the true means over each sample.
 
+The error of each is a constant bias, a first-order Gauss-Markov drift about it, and white noise.
 Their errors are drawn interval by interval (`begin`), so that a pass of any length is never
 held at the rate of its fastest sensor.
 """
@@ -25,8 +26,9 @@ def _zeros() -> Array:
 class ErrorSampler:
     """The errors of a sensor, one interval after the other.
 
-    white: density of the white noise; sigma, time_constant: of the bias, a Gauss-Markov
-    process. bias: the true one, (3,), at the end of the last interval.
+    white: density of the white noise; sigma, time_constant: of the drift, a Gauss-Markov process
+    that is as old as the sensor. bias: the constant one, (3,); drift: what it drifts about that,
+    (3,), at the end of the last interval.
     """
 
     def __init__(
@@ -38,21 +40,23 @@ class ErrorSampler:
         rng: np.random.Generator,
     ) -> None:
         self.bias, self._rng = np.array(bias), rng
+        self.drift = sigma * rng.standard_normal(3)
         self._white, self._sigma, self._time_constant = white, sigma, time_constant
 
     def take(self, edges: Array) -> Array:
-        """Errors (n, 3) of the samples between `edges` (n + 1,), s: the bias in the middle of
-        each, and white noise."""
+        """Errors (n, 3) of the samples between `edges` (n + 1,), s: the bias and the drift in the
+        middle of each, and white noise."""
         dt = np.diff(edges)
         white, steps = self._rng.standard_normal((2, len(dt), 3))
         kept = np.exp(-dt / self._time_constant)
         steps *= (self._sigma * np.sqrt(1 - kept**2))[:, None]
-        bias = np.empty((len(dt) + 1, 3))
-        bias[0] = self.bias
+        drift = np.empty((len(dt) + 1, 3))
+        drift[0] = self.drift
         for k in range(len(dt)):
-            bias[k + 1] = kept[k] * bias[k] + steps[k]
-        self.bias = bias[-1]
-        errors: Array = 0.5 * (bias[1:] + bias[:-1]) + (self._white / np.sqrt(dt))[:, None] * white
+            drift[k + 1] = kept[k] * drift[k] + steps[k]
+        self.drift = drift[-1]
+        errors: Array = self.bias + 0.5 * (drift[1:] + drift[:-1])
+        errors += (self._white / np.sqrt(dt))[:, None] * white
         return errors
 
 
@@ -66,22 +70,22 @@ def _edges(kind: str, period: float, t_first: float, t_last: float) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StrapdownGyro:
-    """A gyro whose bias is a Gauss-Markov process.
+    """A gyro with a constant bias and a Gauss-Markov drift about it.
 
     period: between samples, s; angle_random_walk_density: white noise, rad/sqrt(s);
-    bias_sigma: rad/s, of the bias in the long run; bias_time_constant: s; initial_bias: b_c
-    at the start, rad/s. Raises InputError on values of a wrong shape or sign.
+    constant_bias: b_c, rad/s; drift_sigma: rad/s, of the drift, at the start as later;
+    drift_time_constant: s. Raises InputError on values of a wrong shape or sign.
     """
 
     kind: ClassVar[str] = "strapdown_gyro"
-    #: Blocks whose truth its bias is.
+    #: Blocks whose truth its constant bias is.
     measures: ClassVar[tuple[str, ...]] = ("gyro_bias",)
 
     period: Annotated[float, Quantity("s", positive=True)]
     angle_random_walk_density: Annotated[float, Quantity("rad/sqrt(s)", nonnegative=True)]
-    bias_sigma: Annotated[float, Quantity("rad/s", nonnegative=True)]
-    bias_time_constant: Annotated[float, Quantity("s", positive=True)]
-    initial_bias: Annotated[Array, Quantity("rad/s", (3,))] = field(default_factory=_zeros)
+    drift_sigma: Annotated[float, Quantity("rad/s", nonnegative=True)]
+    drift_time_constant: Annotated[float, Quantity("s", positive=True)]
+    constant_bias: Annotated[Array, Quantity("rad/s", (3,))] = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -93,17 +97,17 @@ class StrapdownGyro:
 
     def begin(self, rng: np.random.Generator) -> ErrorSampler:
         """Errors from the start of a pass on, rad/s."""
-        own = self.angle_random_walk_density, self.bias_sigma, self.bias_time_constant
-        return ErrorSampler(self.initial_bias, *own, rng)
+        own = self.angle_random_walk_density, self.drift_sigma, self.drift_time_constant
+        return ErrorSampler(self.constant_bias, *own, rng)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StrapdownAccelerometer:
-    """An accelerometer whose bias is a Gauss-Markov process.
+    """An accelerometer with a constant bias and a Gauss-Markov drift about it.
 
     period: between samples, s; velocity_random_walk_density: white noise, m/s^1.5;
-    bias_sigma: m/s^2, of the bias in the long run; bias_time_constant: s; initial_bias: b_c
-    at the start, m/s^2. Raises InputError on values of a wrong shape or sign.
+    constant_bias: b_f_c, m/s^2; drift_sigma: m/s^2, of the drift, at the start as later;
+    drift_time_constant: s. Raises InputError on values of a wrong shape or sign.
     """
 
     kind: ClassVar[str] = "strapdown_accelerometer"
@@ -111,9 +115,9 @@ class StrapdownAccelerometer:
 
     period: Annotated[float, Quantity("s", positive=True)]
     velocity_random_walk_density: Annotated[float, Quantity("m/s^1.5", nonnegative=True)]
-    bias_sigma: Annotated[float, Quantity("m/s^2", nonnegative=True)]
-    bias_time_constant: Annotated[float, Quantity("s", positive=True)]
-    initial_bias: Annotated[Array, Quantity("m/s^2", (3,))] = field(default_factory=_zeros)
+    drift_sigma: Annotated[float, Quantity("m/s^2", nonnegative=True)]
+    drift_time_constant: Annotated[float, Quantity("s", positive=True)]
+    constant_bias: Annotated[Array, Quantity("m/s^2", (3,))] = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -124,5 +128,5 @@ class StrapdownAccelerometer:
 
     def begin(self, rng: np.random.Generator) -> ErrorSampler:
         """Errors from the start of a pass on, m/s^2."""
-        own = self.velocity_random_walk_density, self.bias_sigma, self.bias_time_constant
-        return ErrorSampler(self.initial_bias, *own, rng)
+        own = self.velocity_random_walk_density, self.drift_sigma, self.drift_time_constant
+        return ErrorSampler(self.constant_bias, *own, rng)

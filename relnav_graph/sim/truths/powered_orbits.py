@@ -50,8 +50,8 @@ class PoweredOrbits(OrbitElements):
     that, and wobble_period: s.
 
     clock_bias: m, clock_drift: m/s, frequency_density: m/s^1.5, of the receiver's clock;
-    earth_sensor_bias: rad, both angles, earth_sensor_sigma: rad, in the long run, and
-    earth_sensor_time_constant: s.
+    earth_sensor_bias: rad, of both angles, constant; earth_sensor_sigma: rad, of what each drifts
+    about that (Gauss-Markov), and earth_sensor_time_constant: s, of the drift.
 
     Raises InputError on an orbit that is not an ellipse.
     """
@@ -120,7 +120,7 @@ class PoweredFlight:
         self._y = truth.craft(t)
         self._wandering = truth.acceleration_sigma * rng.standard_normal(6)
         self._clock = np.array([truth.clock_bias, truth.clock_drift])
-        self._earth_bias = np.full(2, truth.earth_sensor_bias)
+        self._earth_drift = truth.earth_sensor_sigma * rng.standard_normal(2)
         self._wobble = np.array([truth.wobble, 2 * np.pi / truth.wobble_period])
 
     def _steady(self) -> Array:
@@ -128,7 +128,8 @@ class PoweredFlight:
 
     def values(self) -> dict[str, Array]:
         """chaser_position, chaser_velocity in i, relative_position r_tc, relative_velocity
-        v_tc in i, chaser_attitude R_ic, clock_bias, clock_drift, earth_sensor_bias."""
+        v_tc in i, chaser_attitude R_ic, clock_bias, clock_drift, earth_sensor_bias, which is
+        constant, and earth_sensor_drift."""
         y = self._y
         return {
             "relative_position": y[6:9] - y[0:3],
@@ -138,7 +139,8 @@ class PoweredFlight:
             "chaser_velocity": y[9:12].copy(),
             "clock_bias": self._clock[:1].copy(),
             "clock_drift": self._clock[1:].copy(),
-            "earth_sensor_bias": self._earth_bias.copy(),
+            "earth_sensor_bias": np.full(2, self._truth.earth_sensor_bias),
+            "earth_sensor_drift": self._earth_drift.copy(),
         }
 
     def advance(
@@ -183,8 +185,8 @@ class PoweredFlight:
         self._wandering = _forget(
             self._wandering, h, truth.acceleration_time_constant, truth.acceleration_sigma, draw[:6]
         )
-        self._earth_bias = _forget(
-            *(self._earth_bias, h, truth.earth_sensor_time_constant),
+        self._earth_drift = _forget(
+            *(self._earth_drift, h, truth.earth_sensor_time_constant),
             *(truth.earth_sensor_sigma, draw[6:8]),
         )
         q = truth.frequency_density * np.sqrt(h)
