@@ -262,7 +262,7 @@ def draw(one: Drawn, lines: Lines) -> Figure:
             for name, t, values in lines:
                 # Wide below narrow: equal lines stay visible.
                 place = len(seen)
-                style = {"color": f"C{place}", "linewidth": max(2.0 - 0.7 * place, 0.6)}
+                style = {"color": f"C{place}", "linewidth": max(1.8 - 0.6 * place, 0.6)}
                 style = seen.setdefault(name, style)
                 inside = np.ones(len(t), bool)
                 if one.windows:

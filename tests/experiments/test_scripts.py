@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -23,6 +24,7 @@ def _script(name: str) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
 
@@ -146,6 +148,30 @@ def test_random_tumbles_reach_the_optimum(
     assert total == "2 of 2 reached the optimum"
     assert [line.split(": ")[:2] for line in lines] == [["0", "reached"], ["1", "reached"]]
     assert all(float(line.split(" sigma apart")[0].rsplit(" ", 1)[1]) < 1e-2 for line in lines)
+
+
+def test_yang2016_claims_judge_a_bias_twice(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scenario = load_scenario(EXPERIMENTS / "yang2016.toml", ["time.epochs=60"])
+    kinds = ("ekf_without_drift", "ekf")
+    folder = StudyFolder(tmp_path / "mc", StudySpec.of(scenario, 0, kinds))
+    assert not do_runs(folder, range(2))
+    picture = tmp_path / "visible.png"
+    found = _script("yang2016_claims").main(tmp_path / "mc", picture)
+    assert set(found) == set(kinds)
+    assert all(number > 0 for row in found.values() for three in row.values() for number in three)
+    assert "Accelerometer bias of 2 runs" in capsys.readouterr().out
+    assert picture.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(("paper", "figures"), [("xiong2013", 5), ("hu2019", 4), ("yang2016", 7)])
+def test_paper_figures_are_drawn(paper: str, figures: int, tmp_path: Path) -> None:
+    script = _script("paper_figures")
+    files = script.main(paper, tmp_path, "time.epochs=30")
+    assert len(files) == 2 * figures
+    assert all(file.stat().st_size > 1000 for file in files)
+    assert [one.number for one in script.PAPERS["thienel2006"]] == [str(k) for k in range(1, 9)]
 
 
 def test_every_script_is_run_here() -> None:
