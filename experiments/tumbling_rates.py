@@ -4,10 +4,11 @@ Draws the target's rate from the prior, N(0, 3 deg/s) per axis, for a number of 
 `zhang2015.toml` or another scenario, and prints each estimator's consistency (ANEES, 1 is right)
 and error. A row `NAME_smoothed` is of the trajectory that the estimator ends with.
 
-In `zhang2015` a filter that is begun from a batch over the first 100 s is, at the current epoch, as
-good as the graph, which comes back to all epochs: what filters lack there is a beginning, not
-relinearisation. In `zhang2015_stress`, where the chaser's own attitude is open for long, no
-estimate at the current epoch is consistent; those of the whole pass, smoothed, are.
+In `zhang2015` a filter that goes on from a batch over the first 100 s is, at the current epoch, as
+good as the graph, which comes back to all epochs, and smoothed it is as good as the batch: what
+filters lack there is a beginning, not relinearisation throughout. In `zhang2015_stress`, where the
+chaser's own attitude is open for long, no estimate at the current epoch is consistent, nor is a
+filter smoothed, whatever it began from: only what has relinearised the whole pass is.
 
 Run it: ``python experiments/tumbling_rates.py [PASSES] [EPOCHS] [SCENARIO]``
 """

@@ -147,7 +147,7 @@ class UnscentedEngine:
 
 @dataclass(frozen=True)
 class Ukf:
-    """Unscented Kalman filter: sigma points on the manifold, in square roots, and its smoother.
+    """Unscented Kalman filter: sigma points on the manifold, in square roots.
 
     Points drawn in the tangent of the estimate are carried by the processes and have a mean on the
     manifold; the process noise, that of the interval at the central point, is added, and points are
@@ -205,7 +205,7 @@ class Ukf:
 
 @dataclass(frozen=True)
 class IteratedUkf(Ukf):
-    """The same filter with its updates iterated: points drawn anew from each result.
+    """Unscented Kalman filter with its updates iterated: points drawn anew from each result.
 
     Posterior linearisation: the points of what an update has found give the rows of the next one,
     of the same prediction (Garcia-Fernandez, Svensson, Morelande, Sarkka 2015), `iterations` times
