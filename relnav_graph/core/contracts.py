@@ -32,6 +32,7 @@ __all__ = [
     "ProposesStarts",
     "ReadsCopies",
     "ReadsNumbered",
+    "ReadsTime",
     "ScattersRaw",
     "Sensor",
 ]
@@ -77,7 +78,7 @@ class Sensor(Protocol):
         that this sensor cannot give."""
 
     def at(self, t: float) -> Sensor:
-        """The sensor as it is at time t, s, for the simulator: transmitters may move."""
+        """The sensor as it is at time t, s: transmitters may move, frame o turns."""
 
     def in_view(self, ids: Indices, *x: Array) -> Indices:
         """Those of the ids (k,) that a simulated sensor should try to see at the state x."""
@@ -202,8 +203,8 @@ class ProposesStarts(Protocol):
 
 @runtime_checkable
 class ReadsTime(Protocol):
-    """A sensor whose kernel may have to know the time: `Sensor.observation_data`, and `starts`, are
-    then those of the sensor `at` it."""
+    """A sensor whose kernel may have to know the time: `Sensor.observation_data` of a measurement
+    is then that of the sensor `at` its time, and cannot be had for all measurements at once."""
 
     @property
     def reads_time(self) -> bool: ...

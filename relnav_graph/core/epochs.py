@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,6 +31,10 @@ class Epoch:
     t: float
     measurements: tuple[Measurement, ...] = ()
     inputs: Mapping[str, Array] = field(default_factory=dict)
+
+    def of(self, processes: Container[str]) -> Epoch:
+        """The same with the inputs of some processes only, by name."""
+        return replace(self, inputs={n: u for n, u in self.inputs.items() if n in processes})
 
 
 #: Longest interval, s: whoever asks for more means something else.

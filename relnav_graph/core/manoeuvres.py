@@ -7,13 +7,15 @@ what a table of manoeuvres says: a change of velocity, and its covariance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.errors import InputError
 
-__all__ = ["COVARIANCE", "IMPULSE", "THRUST_COLUMNS", "check_manoeuvre", "thrust_series"]
+__all__ = ["COVARIANCE", "IMPULSE", "THRUST_COLUMNS", "thrust_series"]
 
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 #: Columns of the input: acceleration, and the covariance density of its noise.
@@ -27,7 +29,7 @@ COVARIANCE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 IMPULSE = 1e-3
 
 
-def check_manoeuvre(begin: float, end: float, covariance: Array, before: float) -> None:
+def _check(begin: float, end: float, covariance: Array, before: float) -> None:
     """Raise InputError where a manoeuvre from `begin` to `end`, s, ends before it begins, begins
     before the one `before` it has ended, s, or has a covariance (3, 3), m^2/s^2, that is none."""
     if not end > begin:
@@ -50,33 +52,35 @@ def thrust_series(
     covariance: Array,
     t_first: float,
     t_last: float,
+    where: Sequence[str] | None = None,
 ) -> InputSeries:
     """The input that n manoeuvres are, in order of time; between them there is no thrust.
 
     name: of the input; t_start, t_end (n,): s; delta_v (n, 3): m/s, spread evenly over its time;
     covariance (n, 3, 3): of what delta_v misses, m^2/s^2, in the same axes; t_first, t_last: what
-    the input tells of, s, extended to the manoeuvres. Raises InputError; see `check_manoeuvre`.
+    the input tells of, s, extended to the manoeuvres; where: each of them in words, for messages.
+    Raises InputError where one ends before it begins, begins before the one before has ended, or
+    has a covariance that is none.
     """
-    for k, one in enumerate(zip(t_start, t_end, covariance, [-np.inf, *t_end[:-1]], strict=True)):
+    words = where or [f"input {name!r}, manoeuvre {k}" for k in range(len(t_start))]
+    coasting, upper = np.zeros(len(THRUST_COLUMNS)), np.triu_indices(3)
+    starts, ends, values = list[float](), list[float](), list[Array]()
+    before, now = -np.inf, min([t_first, *t_start])
+
+    def add(begin: float, end: float, thrust: Array) -> None:
+        starts.append(begin)
+        ends.append(end)
+        values.append(thrust)
+
+    for place, begin, end, dv, P in zip(words, t_start, t_end, delta_v, covariance, strict=True):
         try:
-            check_manoeuvre(*one)
+            _check(begin, end, P, before)
         except InputError as error:
-            raise InputError(f"input {name!r}, manoeuvre {k}: {error}") from error
-    starts, ends, values, now = (
-        list[float](),
-        list[float](),
-        list[Array](),
-        min([t_first, *t_start]),
-    )
-    lengths = np.asarray(t_end) - np.asarray(t_start)
-    rates = delta_v / lengths[:, None], covariance / lengths[:, None, None]
-    upper = np.triu_indices(3)
-    for begin, end, a, C in zip(t_start, t_end, *rates, strict=True):
+            raise InputError(f"{place}: {error}") from error
         if begin > now:
-            starts, ends, values = [*starts, now], [*ends, begin], [*values, np.zeros(9)]
-        now = end
-        starts, ends = [*starts, begin], [*ends, end]
-        values = [*values, np.concatenate([a, C[upper]])]
+            add(now, begin, coasting)
+        add(begin, end, np.concatenate([dv, P[upper]]) / (end - begin))
+        before = now = end
     if t_last > now:
-        starts, ends, values = [*starts, now], [*ends, t_last], [*values, np.zeros(9)]
+        add(now, t_last, coasting)
     return InputSeries(name, np.array(starts), np.array(ends), np.array(values))

@@ -13,7 +13,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled.contracts import GUARD, MARK
-from relnav_graph.core.contracts import Derived, IntegratesBySteps, Kernel, ReadsTime, Sensor
+from relnav_graph.core.contracts import Derived, IntegratesBySteps, Kernel, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.state import Block, Layout
@@ -157,7 +157,7 @@ class SensorModel:
         Raises GeometryError when an observation is impossible at this state, InputError
         on values of the wrong shape, ModelError when the kernel leaves an entry unfilled.
         """
-        now = self.at(m.t) if isinstance(self, ReadsTime) and self.reads_time else self
+        now = self.at(m.t)
         assert isinstance(now, SensorModel)
         r, jacobian = now._call(f"at t = {m.t} s", m.ids, self.accept(m.z), x)
         stacked = jacobian.reshape(-1, sum(self._dims))

@@ -29,6 +29,7 @@ from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.files import check_name
 from relnav_graph.maths.losses import Loss
+from relnav_graph.maths.orbit import KeplerOrbit
 
 __all__ = [
     "Prior",
@@ -203,6 +204,12 @@ class Problem:
         own = [b for b in self.layout if {b.name, b.family} & set(self.considered)]
         columns = [np.arange(self.layout.dim)[self.layout.tangent(b.name)] for b in own]
         return np.concatenate([np.zeros(0, np.int64), *columns])
+
+    @property
+    def orbit(self) -> KeplerOrbit | None:
+        """The target's orbit, with which frame o turns; None where o is at rest."""
+        models = *self.processes.values(), *self.sensors.values()
+        return next((m.orbit for m in models if isinstance(m, KnowsOrbit)), None)
 
     @property
     def times(self) -> Array:

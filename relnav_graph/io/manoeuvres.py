@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from relnav_graph.core.manoeuvres import COVARIANCE, IMPULSE, check_manoeuvre, thrust_series
+from relnav_graph.core.manoeuvres import COVARIANCE, IMPULSE, thrust_series
 from relnav_graph.core.measurement import InputSeries
-from relnav_graph.errors import InputError
 from relnav_graph.io.tabular import Table
 
 __all__ = ["read_manoeuvres"]
@@ -39,12 +38,7 @@ def read_manoeuvres(table: Table, name: str) -> InputSeries:
         covariance = table.stack(_SIGMA)[:, None, :] ** 2 * np.eye(3)
     else:
         covariance = table.stack(_COVARIANCE)[:, COVARIANCE]
-    before = [-np.inf, *t_end[:-1]]
-    for line, *one in zip(table.lines, t_start, t_end, covariance, before, strict=True):
-        try:
-            check_manoeuvre(*one)
-        except InputError as error:
-            raise InputError(f"{table.path}, line {line}: {error}") from error
     first, last = (t_start[0], t_end[-1]) if len(t_start) else (0.0, 0.0)
-    dv = table.stack(_DELTA)
-    return thrust_series(name, t_start, t_end, dv, covariance, first - _FAR, last + _FAR)
+    where = [f"{table.path}, line {line}" for line in table.lines]
+    far = first - _FAR, last + _FAR
+    return thrust_series(name, t_start, t_end, table.stack(_DELTA), covariance, *far, where)

@@ -49,7 +49,8 @@ __all__ = [
     "FilterInput",
     "FilterOutput",
     "filter_epochs",
-    "finite",
+    "room_for_squares",
+    "sound",
     "update_epoch",
 ]
 
@@ -63,12 +64,24 @@ FAILURES = {
 
 
 @jit
-def finite(v: Array) -> bool:
-    """Whether all of v (n,) is."""
-    sound = True
-    for i in range(v.shape[0]):
-        sound = sound and np.isfinite(v[i])
-    return sound
+def sound(x: Array, A: Array) -> bool:
+    """Whether a state x (size,) and the matrix A (n, n) of its uncertainty are finite."""
+    found = True
+    for i in range(x.shape[0]):
+        found = found and np.isfinite(x[i])
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            found = found and np.isfinite(A[i, j])
+    return found
+
+
+@jit
+def room_for_squares(epoch_offsets: Indices, begin: int, end: int) -> Array:
+    """Zeros, as many as the largest of the epochs from begin to end - 1 has observations."""
+    most = 0
+    for k in range(begin, end):
+        most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
+    return np.zeros(most)
 
 
 class FilterInput(NamedTuple):
@@ -241,10 +254,8 @@ def filter_epochs(
     x_predicted, P_predicted, F, Q = out.x_predicted, out.P_predicted, out.F, out.Q
     lag = epoch_offsets.shape[0] - 1 - tables.starts.shape[0]
     xk, Pk = x_before.copy(), P_before.copy()
-    n, most = Pk.shape[0], 0
-    for k in range(begin, end):
-        most = max(most, epoch_offsets[k + 1] - epoch_offsets[k])
-    squares, here = np.zeros(most), np.zeros(n)
+    n = Pk.shape[0]
+    squares, here = room_for_squares(epoch_offsets, begin, end), np.zeros(n)
     for k in range(begin, end):
         give_way(0)
         for j in range(n):
@@ -271,10 +282,7 @@ def filter_epochs(
             return
         dense.put_vector(x[k], 0, xk)
         copy(Pk, P[k])
-        sound = finite(xk)
-        for i in range(n):
-            sound = sound and finite(Pk[i])
-        if not sound:
+        if not sound(xk, Pk):
             failure[0] = NOT_FINITE
             return
 

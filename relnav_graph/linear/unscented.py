@@ -23,7 +23,8 @@ from relnav_graph.linear.filter import (
     SENSOR_BROKE,
     FilterInput,
     FilterOutput,
-    finite,
+    room_for_squares,
+    sound,
     update_epoch,
 )
 from relnav_graph.linear.innovations import gate
@@ -337,11 +338,9 @@ def unscented_epochs(
     seen: their prior says nothing of where they are, and points drawn from it as little; the first
     epoch is then updated as by the extended filter, linearised there, and has no spread (NaN).
     """
-    kinds, n, q = given.kinds, R.shape[0], out.Q.shape[1]
-    lag, most = given.epoch_offsets.shape[0] - 1 - tables.starts.shape[0], 0
-    for k in range(begin, end):
-        most = max(most, given.epoch_offsets[k + 1] - given.epoch_offsets[k])
-    squares = np.zeros(most)
+    kinds, q = given.kinds, out.Q.shape[1]
+    lag = given.epoch_offsets.shape[0] - 1 - tables.starts.shape[0]
+    squares = room_for_squares(given.epoch_offsets, begin, end)
     for k in range(begin, end):
         give_way(0)
         failure[3] = k
@@ -372,9 +371,6 @@ def unscented_epochs(
         if failure[0] != 0:
             return
         dense.put_vector(out.x[k], 0, xk)
-        sound = finite(xk)
-        for i in range(n):
-            sound = sound and finite(R[i])
-        if not sound:
+        if not sound(xk, R):
             failure[0] = NOT_FINITE
             return

@@ -170,13 +170,20 @@ def factor(P: Array, R: Array) -> bool:
 
 
 @jit
+def _average(Y: Array, weights: Array, mean: Array) -> None:
+    """Fill mean (rows,) with the weighted mean of Y (1 + 2 n, rows)."""
+    for a in range(mean.shape[0]):
+        mean[a] = 0.0
+        for i in range(Y.shape[0]):
+            mean[a] += (weights[MEAN] if i == 0 else weights[EACH]) * Y[i, a]
+
+
+@jit
 def moments(Y: Array, weights: Array, mean: Array, S: Array) -> None:
     """Mean (rows,) and covariance S (rows, rows) of Y (1 + 2 n, rows), the measurement's in it."""
     rows, count = mean.shape[0], Y.shape[0]
+    _average(Y, weights, mean)
     for a in range(rows):
-        mean[a] = 0.0
-        for i in range(count):
-            mean[a] += (weights[MEAN] if i == 0 else weights[EACH]) * Y[i, a]
         for b in range(a + 1):
             value = 1.0 if a == b else 0.0
             for i in range(count):
@@ -200,10 +207,7 @@ def regress(Y: Array, R: Array, weights: Array, roots: Array, mean: Array, H: Ar
     """
     n, rows = R.shape[0], mean.shape[0]
     root, spread = np.sqrt(weights[EACH]), weights[SPREAD]
-    for a in range(rows):
-        mean[a] = 0.0
-        for i in range(1 + 2 * n):
-            mean[a] += (weights[MEAN] if i == 0 else weights[EACH]) * Y[i, a]
+    _average(Y, weights, mean)
     joint, centre = np.zeros((rows + 2 * n + 1, rows + n + SPARE)), np.zeros(rows + n)
     for a in range(rows):
         joint[2 * n + a, n + a] = 1.0

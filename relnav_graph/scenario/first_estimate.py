@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
-from relnav_graph.core.contracts import ProposesStarts, ReadsTime
+from relnav_graph.core.contracts import ProposesStarts
 from relnav_graph.core.copies import without_copies
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Prior, Problem
@@ -113,12 +113,10 @@ def _proposed(
             continue
         told = False
         for m in epoch.measurements:
-            sensor = problem.sensors[m.sensor]
+            sensor = problem.sensors[m.sensor].at(m.t)
             if not isinstance(sensor, ProposesStarts):
                 continue
-            now = sensor.at(m.t) if isinstance(sensor, ReadsTime) and sensor.reads_time else sensor
-            assert isinstance(now, ProposesStarts)
-            for values in now.starts(m.ids, sensor.accept(m.z), known):
+            for values in sensor.starts(m.ids, sensor.accept(m.z), known):
                 if name in values:
                     told = True
                     own = {n: v for n, v in values.items() if n in names}

@@ -11,12 +11,12 @@ import pytest
 from passes import (
     ESTIMATORS,
     FIX,
-    ONE_ID,
     PRIOR,
     PROCESSES,
     RANGER,
     SENSORS,
     ZHANG,
+    beyond_digits,
     differences,
     rows_of,
     sigmas,
@@ -28,7 +28,7 @@ from relnav_factors.dynamics.gyro_bias import GyroBias
 from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
 from relnav_factors.sensors.stereo_point import StereoPoint
 from scipy.special import chdtri
-from toy_model import RANGE_DRIFT, PositionFix
+from toy_model import RANGE_DRIFT
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
@@ -202,13 +202,7 @@ def test_estimator_skips_and_counts_a_point_behind_the_camera(kind: str) -> None
 def test_divergence_is_a_status_and_a_nan_tail(kind: str) -> None:
     """A prior of 10 km against fixes of 0.1 mm: no covariance can carry both. Its root, which the
     unscented filters carry instead, can."""
-    processes: dict[str, Any] = {"motion": WhiteNoiseAcceleration(acceleration_density=1e-6)}
-    sensors: dict[str, Any] = {"fix": PositionFix(covariance=1e-8 * np.eye(3))}
-    fixes = [Measurement("fix", float(t), np.zeros((1, 3)), ONE_ID) for t in range(6)]
-    prior = Prior(np.zeros(6), 1e8 * np.eye(6))
-    track = run_estimator(
-        kind, Problem(processes, sensors, prior, make_epochs(processes, fixes, {}))
-    )
+    track = run_estimator(kind, beyond_digits())
     for row in rows_of(track):
         assert row.status == "diverged"
         assert row.message

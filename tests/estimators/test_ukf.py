@@ -10,9 +10,9 @@ import pytest
 from passes import (
     EXPERIMENTS,
     FIX,
-    ONE_ID,
     PRIOR,
     RANGER,
+    beyond_digits,
     differences,
     linear_problem,
     spoilt_toy,
@@ -20,16 +20,12 @@ from passes import (
     toy_measurements,
     toy_problem,
 )
-from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
 from scipy.special import chdtri
 from static_tracks import drifting_pass
 from textbook_ukf import TextbookUkf
-from toy_model import PositionFix
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.epochs import make_epochs
-from relnav_graph.core.measurement import Measurement
-from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.online.driver import online
@@ -241,13 +237,7 @@ def test_online_is_offline_bit_for_bit_and_goes_on_from_what_was_saved(
 @pytest.mark.parametrize("kind", ["ukf", "iukf"])
 def test_the_root_carries_what_no_covariance_can(kind: str) -> None:
     """A prior of 10 km, fixes of 0.1 mm: a covariance has no digits for both."""
-    processes: dict[str, Any] = {"motion": WhiteNoiseAcceleration(acceleration_density=1e-6)}
-    sensors: dict[str, Any] = {"fix": PositionFix(covariance=1e-8 * np.eye(3))}
-    fixes = [Measurement("fix", float(t), np.zeros((1, 3)), ONE_ID) for t in range(6)]
-    prior = Prior(np.zeros(6), 1e8 * np.eye(6))
-    track = run_estimator(
-        kind, Problem(processes, sensors, prior, make_epochs(processes, fixes, {}))
-    )
+    track = run_estimator(kind, beyond_digits())
     assert track.status == "ok"
     # Fixes at six times, of a line: the variance at its end is (4 n - 2) / (n (n + 1)) of one's.
     np.testing.assert_allclose(np.diag(track.P[-1])[:3], 1e-8 * 22 / 42, rtol=1e-3)

@@ -148,3 +148,12 @@ def changed_tables(tables: Mapping[str, Any], *path: str, value: Any = None) -> 
     if value is not None:
         at[path[-1]] = value
     return out
+
+
+def beyond_digits() -> Problem:
+    """A prior of 10 km, fixes of 0.1 mm: no covariance has digits for both."""
+    processes: dict[str, Any] = {"motion": WhiteNoiseAcceleration(acceleration_density=1e-6)}
+    sensors: dict[str, Any] = {"fix": PositionFix(covariance=1e-8 * np.eye(3))}
+    fixes = [Measurement("fix", float(t), np.zeros((1, 3)), ONE_ID) for t in range(6)]
+    prior = Prior(np.zeros(6), 1e8 * np.eye(6))
+    return Problem(processes, sensors, prior, make_epochs(processes, fixes, {}))

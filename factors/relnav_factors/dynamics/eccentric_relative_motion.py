@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -10,14 +9,12 @@ import numpy as np
 
 from relnav_factors.shared.relative_orbit import exact_step, linear_step
 from relnav_factors.shared.statuses import LOST_ORBIT, NO_PLACE, degenerate, finite, length_status
-from relnav_factors.shared.thrust import add_thrust_noise, thrust_of
+from relnav_factors.shared.thrust import Thrusted, add_thrust_noise, thrust_of
 from relnav_factors.shared.white_noise import add_step, duration, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import give_way, jit
 from relnav_graph.core.catalogue import RELATIVE_POSITION, RELATIVE_VELOCITY
 from relnav_graph.core.contracts import Kernel
-from relnav_graph.core.manoeuvres import THRUST_COLUMNS
-from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, orbit_array
@@ -38,7 +35,7 @@ FAILURES = {
 def _why(p: Array, t: float, length: float, x: Array) -> int:
     """The status of an interval over which the motion is not finite; see `LOST_ORBIT`.
 
-    p, x: as of `exact_kernel`; t: its start, length: s.
+    p, x: as of `exact_kernel`; t: its start, length, s.
     """
     for at in (t, t + length):
         motion = chief_motion(p, at)
@@ -50,6 +47,29 @@ def _why(p: Array, t: float, length: float, x: Array) -> int:
 
 
 @jit
+def _stepped(p: Array, t: float, u: Array, state: Array, exact: bool) -> tuple[Array, Array, Array]:
+    """A state (6,) carried over an interval from t, s, with its sensitivity and noise, (6, 6) each.
+
+    p, u: as of `exact_kernel`; exact: by `exact_step`, or by `linear_step`.
+    """
+    total, noise, begin = dense.identity(6), np.zeros((6, 6)), t
+    for row in range(u.shape[0]):
+        thrust, length = thrust_of(u, row), u[row, 0]
+        steps = step_count(length, p[_MAX_STEP])
+        h = length / steps
+        for n in range(steps):
+            give_way(n)
+            if exact:
+                state, step = exact_step(p, begin + n * h, h, state, thrust)
+            else:
+                state, step = linear_step(p, begin + n * h, h, state, thrust)
+            add_step(step, p[_DENSITY] ** 2, h, total, noise)
+            add_thrust_noise(noise, thrust, h)
+        begin += length
+    return state, total, noise
+
+
+@jit
 def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """Exact difference of two two-body motions, see `exact_step`, plus white noise.
 
@@ -57,17 +77,7 @@ def exact_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array
     (rows, 10), see `thrust_of`. x, x_next (6,): r_tc_o (m), r_tc_o' in o (m/s). F, Q (6, 6), SI.
     Status: see `FAILURES`.
     """
-    state, total, noise, begin = x, dense.identity(6), np.zeros((6, 6)), t
-    for row in range(u.shape[0]):
-        thrust, length = thrust_of(u, row), u[row, 0]
-        steps = step_count(length, p[_MAX_STEP])
-        h = length / steps
-        for n in range(steps):
-            give_way(n)
-            state, step = exact_step(p, begin + n * h, h, state, thrust)
-            add_step(step, p[_DENSITY] ** 2, h, total, noise)
-            add_thrust_noise(noise, thrust, h)
-        begin += length
+    state, total, noise = _stepped(p, t, u, x, True)
     if not (finite(total) and finite(state.reshape(1, 6))):
         return _why(p, t, duration(u), x)
     dense.put_vector(x_next, 0, state)
@@ -83,17 +93,7 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     p, u, x, x_next, F, Q: as of `exact_kernel`, (6,) and (6, 6), m and m/s. Steps serve the noise
     and the thrust: each adds that of constant velocity over its length; see `linear_step`.
     """
-    pushed, total, noise, begin = np.zeros(6), dense.identity(6), np.zeros((6, 6)), t
-    for row in range(u.shape[0]):
-        thrust, length = thrust_of(u, row), u[row, 0]
-        steps = step_count(length, p[_MAX_STEP])
-        h = length / steps
-        for n in range(steps):
-            give_way(n)
-            pushed, step = linear_step(p, begin + n * h, h, pushed, thrust)
-            add_step(step, p[_DENSITY] ** 2, h, total, noise)
-            add_thrust_noise(noise, thrust, h)
-        begin += length
+    pushed, total, noise = _stepped(p, t, u, np.zeros(6), False)  # from rest, by thrust alone
     if not finite(total):
         return _why(p, t, duration(u), x)
     moved = dense.add_scaled_vector(dense.matvec(total, x), pushed, 1.0)
@@ -104,7 +104,7 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
 
 
 @dataclass(frozen=True, kw_only=True)
-class EccentricRelativeMotion(DynamicsModel):
+class EccentricRelativeMotion(Thrusted):
     """Position and velocity of the chaser relative to the target, in the rotating frame.
 
     gravity = "linear": Zhang et al. 2015, eq. 1, whose transition matrix is known in
@@ -114,8 +114,6 @@ class EccentricRelativeMotion(DynamicsModel):
 
     acceleration_density: m/s^1.5, white, per axis; max_step: s, the longest step of the
     integration; relative_velocity is the derivative in the rotating frame.
-    thrust: whether the chaser's thrust is an input, known accelerations with a covariance of what
-    they miss, in o (`relnav_graph.core.manoeuvres`).
     """
 
     kind: ClassVar[str] = "eccentric_relative_motion"
@@ -126,11 +124,6 @@ class EccentricRelativeMotion(DynamicsModel):
     orbit: KeplerOrbit
     gravity: Literal["exact", "linear"] = "exact"
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
-    thrust: bool = False
-
-    @property
-    def inputs(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
-        return {"thrust": THRUST_COLUMNS} if self.thrust else {}
 
     @property
     def kernel(self) -> Kernel:  # type: ignore[override]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -10,12 +9,10 @@ import numpy as np
 
 from relnav_factors.shared.gravity import FIELD, Degree, earth_field
 from relnav_factors.shared.orbit_steps import FAILURES, coast, orbit_status
-from relnav_factors.shared.thrust import thrust_of
+from relnav_factors.shared.thrust import Thrusted, thrust_of
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_POSITION, CHASER_VELOCITY
-from relnav_graph.core.manoeuvres import THRUST_COLUMNS
-from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
 from relnav_graph.units import Quantity
@@ -44,7 +41,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrbitTwoBody(DynamicsModel):
+class OrbitTwoBody(Thrusted):
     """Position and velocity of the chaser, r'' = g(r) + white, in the inertial frame.
 
     Xiong et al. 2013, eq. 13: a point mass; with zonal harmonics on request.
@@ -53,8 +50,6 @@ class OrbitTwoBody(DynamicsModel):
     walk of the position beside it (the paper's w_2, eq. 14, drives both); degree: of the
     highest zonal harmonic of the Earth, 0 or 2 to 4; max_step: s, the longest Runge-Kutta
     step.
-    thrust: whether the chaser's thrust is an input, known accelerations with a covariance of what
-    they miss, in the axes of the velocity (`relnav_graph.core.manoeuvres`).
     """
 
     kind: ClassVar[str] = "orbit_two_body"
@@ -66,11 +61,6 @@ class OrbitTwoBody(DynamicsModel):
     position_density: Annotated[float, Quantity("m/sqrt(s)", nonnegative=True)] = 0.0
     degree: Degree = 0
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
-    thrust: bool = False
-
-    @property
-    def inputs(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
-        return {"thrust": THRUST_COLUMNS} if self.thrust else {}
 
     @property
     def advances(self) -> tuple[Block, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from relnav_factors.shared.gravity import FIELD, Degree, earth_field
 from relnav_factors.shared.orbit_steps import FAILURES, coast, orbit_status
-from relnav_factors.shared.thrust import thrust_of
+from relnav_factors.shared.thrust import Thrusted, thrust_of
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (
@@ -19,8 +18,6 @@ from relnav_graph.core.catalogue import (
     RELATIVE_POSITION,
     RELATIVE_VELOCITY,
 )
-from relnav_graph.core.manoeuvres import THRUST_COLUMNS
-from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
 from relnav_graph.units import Quantity
@@ -31,9 +28,8 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     """``r_tc'' = g(r_c) - g(r_c - r_tc) + thrust + white``, by Runge-Kutta steps.
 
     p (7,): field (5,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s, or
-    (rows, 10), see `thrust_of`. x
-    (12,): r_tc_i (m), v_tc_i (m/s), r_c_i, v_c_i. x_next (6,): r_tc_i, v_tc_i. F (6, 12), Q (6, 6),
-    SI.
+    (rows, 10), see `thrust_of`. x (12,): r_tc_i (m), v_tc_i (m/s), r_c_i, v_c_i. x_next (6,):
+    r_tc_i, v_tc_i. F (6, 12), Q (6, 6), SI.
     """
     y, total, noise = x, dense.identity(12), np.zeros((6, 6))
     for row in range(u.shape[0]):
@@ -51,7 +47,7 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelativeTwoBody(DynamicsModel):
+class RelativeTwoBody(Thrusted):
     """r_tc'' = g(r_c) - g(r_c - r_tc) + white, in axes that do not rotate: o is i.
 
     The exact difference of two gravities, where Xiong et al. 2013, eq. 12, have its first
@@ -60,9 +56,7 @@ class RelativeTwoBody(DynamicsModel):
 
     acceleration_density: m/s^1.5, white, per axis, of the relative motion; degree: of the
     highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step.
-    thrust: whether the chaser's thrust is an input, known accelerations with a covariance of what
-    they miss, in i, the axes of the velocity (`relnav_graph.core.manoeuvres`).
-    The orbit of the chaser takes the same input, and draws what it misses for itself.
+    With thrust, the chaser's own orbit takes the same input, and draws what that misses for itself.
     """
 
     kind: ClassVar[str] = "relative_two_body"
@@ -75,11 +69,6 @@ class RelativeTwoBody(DynamicsModel):
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
     degree: Degree = 0
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
-    thrust: bool = False
-
-    @property
-    def inputs(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
-        return {"thrust": THRUST_COLUMNS} if self.thrust else {}
 
     @property
     def advances(self) -> tuple[Block, ...]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
-from relnav_graph.core.manoeuvres import COVARIANCE
+from relnav_graph.core.manoeuvres import COVARIANCE, THRUST_COLUMNS
+from relnav_graph.core.models import DynamicsModel
 
-#: Of a row without thrust: acceleration (3,), and covariance density of its noise (6,).
-THRUST = 9
+#: How many numbers are a row's thrust: acceleration (3,), and covariance density of its noise (6,).
+THRUST = len(THRUST_COLUMNS)
 
 
 @jit
@@ -33,6 +37,8 @@ def add_thrust_noise(Q: Array, thrust: Array, h: float) -> None:
     `thrust_of`; h: s. With C the covariance density: Q_vv += C h^3 / 3, Q_vr += C h^2 / 2,
     Q_rr += C h, as of `relnav_factors.shared.white_noise.add_integrated_white_noise`.
     """
+    if thrust[3] + thrust[6] + thrust[8] == 0.0:  # no variance, so no covariance
+        return
     for i in range(3):
         for j in range(3):
             c = thrust[3 + COVARIANCE[i, j]] * h
@@ -40,3 +46,18 @@ def add_thrust_noise(Q: Array, thrust: Array, h: float) -> None:
             Q[i, 3 + j] += c * h / 2
             Q[3 + i, j] += c * h / 2
             Q[3 + i, 3 + j] += c
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thrusted(DynamicsModel):
+    """What the processes of a craft that may have thrust share.
+
+    thrust: whether that is an input, known accelerations with a covariance of what they miss, in
+    the axes of the velocity (`relnav_graph.core.manoeuvres`).
+    """
+
+    thrust: bool = False
+
+    @property
+    def inputs(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
+        return {"thrust": THRUST_COLUMNS} if self.thrust else {}

@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_graph.core.catalogue import TARGET_ATTITUDE
-from relnav_graph.core.contracts import KnowsOrbit
 from relnav_graph.core.problem import Prior, Problem, layout_of
 from relnav_graph.core.track import Track
 from relnav_graph.errors import ModelError
@@ -25,10 +24,8 @@ def assumed(problem: Problem, where: str) -> Problem:
 
     Raises ModelError on a state without R_ot, or an o at rest.
     """
-    models = [*problem.processes.values(), *problem.sensors.values()]
-    orbits = [m.orbit for m in models if isinstance(m, KnowsOrbit)]
     own = [n for n, p in problem.processes.items() if TARGET_ATTITUDE in p.advances]
-    if not own or not any(orbits):
+    if not own or problem.orbit is None:
         what = problem.layout if not own else "no orbit"
         raise ModelError(
             f"{where}: found {what}, expected a {TARGET_ATTITUDE.name} in the orbital frame of the"
@@ -43,10 +40,7 @@ def assumed(problem: Problem, where: str) -> Problem:
     at, axes = layout.slices(TARGET_ATTITUDE.name)
     x[at], P[axes, :], P[:, axes] = np.eye(3).ravel(), 0.0, 0.0
     P[axes, axes] = EXACT**2 * np.eye(3)
-    epochs = tuple(
-        replace(e, inputs={n: u for n, u in e.inputs.items() if n in processes})
-        for e in problem.epochs
-    )
+    epochs = tuple(epoch.of(processes) for epoch in problem.epochs)
     return replace(problem, processes=processes, prior=Prior(x, P), epochs=epochs)
 
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.catalogue import DRIFTS
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
-from relnav_graph.errors import ModelError
 from relnav_graph.estimators.ekf import Ekf
+from relnav_graph.estimators.published.ekf_without_drift import drifts_of
 from relnav_graph.estimators.source import Source
 from relnav_graph.linear.assembly import Assembly
 
@@ -41,12 +40,7 @@ class EkfConsideringDrift:
 
 def _considering(problem: Problem) -> Problem:
     """The problem with its drifts considered. Raises ModelError when it has none."""
-    drifts = tuple(name for name in DRIFTS if name in problem.layout)
-    if not drifts:
-        raise ModelError(
-            f"{EkfConsideringDrift.kind}: found no drift in {problem.layout}, expected one of"
-            f" {', '.join(DRIFTS)}, to be considered"
-        )
+    drifts = drifts_of(problem, EkfConsideringDrift.kind)
     return replace(problem, considered=(*problem.considered, *drifts))
 
 

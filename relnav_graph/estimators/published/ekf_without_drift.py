@@ -20,7 +20,7 @@ from relnav_graph.estimators.ekf import Ekf
 from relnav_graph.estimators.source import Source
 from relnav_graph.linear.assembly import Assembly
 
-__all__ = ["EkfWithoutDrift"]
+__all__ = ["EkfWithoutDrift", "drifts_of"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,16 @@ class EkfWithoutDrift:
         return replace(track, name=self.kind, **estimates(layout, x, P))
 
 
+def drifts_of(problem: Problem, who: str) -> tuple[str, ...]:
+    """Names of the drifts in a problem's state. Raises ModelError, for the estimator `who`, when
+    there are none."""
+    found = tuple(name for name in DRIFTS if name in problem.layout)
+    if not found:
+        expected = ", ".join(DRIFTS)
+        raise ModelError(f"{who}: found no drift in {problem.layout}, expected one of {expected}")
+    return found
+
+
 def _whole(layout: Layout, own: Layout, x: Array) -> Array:
     """Stored vectors (N, size) of a layout, of those (N, s) of the blocks that it shares with
     another, and zeros."""
@@ -62,11 +72,7 @@ def _whole(layout: Layout, own: Layout, x: Array) -> Array:
 
 def _without_drifts(problem: Problem) -> Problem:
     """The problem in which no bias drifts. Raises ModelError when none does as it is."""
-    if not any(name in problem.layout for name in DRIFTS):
-        raise ModelError(
-            f"{EkfWithoutDrift.kind}: found no drift in {problem.layout}, expected one of"
-            f" {', '.join(DRIFTS)}, to be left out"
-        )
+    drifts_of(problem, EkfWithoutDrift.kind)
     processes = {name: _constant(p) for name, p in problem.processes.items()}
     processes = {name: p for name, p in processes.items() if p is not None}
     sensors = {name: _constant(s) for name, s in problem.sensors.items()}
@@ -74,18 +80,13 @@ def _without_drifts(problem: Problem) -> Problem:
     plain = layout_of(processes, sensors)
     stored, tangent = problem.layout.gather([*plain, *numbered])
     prior = Prior(problem.prior.x[stored], problem.prior.P[np.ix_(tangent, tangent)])
-    epochs = tuple(_only(epoch, processes) for epoch in problem.epochs)
+    epochs = tuple(epoch.of(processes) for epoch in problem.epochs)
     return replace(problem, processes=processes, sensors=sensors, prior=prior, epochs=epochs)
 
 
 def _constant(model: Any) -> Any:
     """A model for which biases are constant; None where nothing is left of it."""
     return model.without_drift() if isinstance(model, Drifts) else model
-
-
-def _only(epoch: Epoch, processes: dict[str, Any]) -> Epoch:
-    """An epoch with the inputs of some processes."""
-    return replace(epoch, inputs={n: u for n, u in epoch.inputs.items() if n in processes})
 
 
 class _WithoutDrifts:
@@ -100,7 +101,7 @@ class _WithoutDrifts:
     def __iter__(self) -> Iterator[Epoch]:
         before: float | None = None
         for epoch in self._source:
-            own = _only(epoch, dict(self.problem.processes))
+            own = epoch.of(self.problem.processes)
             self._newest = before, own
             yield own
             before = own.t

@@ -9,7 +9,6 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.catalogue import INERTIA_MATRIX, TARGET_ATTITUDE, TARGET_RATE
-from relnav_graph.core.contracts import KnowsOrbit
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import EstimationError, ModelError
@@ -67,8 +66,7 @@ class _Ratios:
     def __init__(self, problem: Problem, steps: int, where: str) -> None:
         blocks = TARGET_ATTITUDE, TARGET_RATE, INERTIA_MATRIX
         self._x = require(problem, blocks, where)
-        models = [*problem.processes.values(), *problem.sensors.values()]
-        if any(isinstance(m, KnowsOrbit) and m.orbit is not None for m in models):
+        if problem.orbit is not None:
             raise ModelError(f"{where}: found an orbit, expected axes o that do not turn")
         self.layout = Layout((TARGET_ATTITUDE, TARGET_RATE, RATIOS))
         self._steps, self._where = steps, where

@@ -20,7 +20,6 @@ from relnav_graph.core.catalogue import (
     TARGET_ATTITUDE,
     TARGET_RATE,
 )
-from relnav_graph.core.contracts import KnowsOrbit
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import ModelError
@@ -90,8 +89,7 @@ class _Joint:
     def __init__(self, problem: Problem, where: str) -> None:
         blocks = RELATIVE_POSITION, RELATIVE_VELOCITY, TARGET_ATTITUDE, *_SAME
         self._x = require(problem, blocks, where)
-        models = [*problem.processes.values(), *problem.sensors.values()]
-        if any(isinstance(m, KnowsOrbit) and m.orbit is not None for m in models):
+        if problem.orbit is not None:
             raise ModelError(f"{where}: found an orbit, expected axes o that do not turn")
 
     def own(self, x: Array) -> Array:
