@@ -201,6 +201,8 @@ class Problem:
     @property
     def considered_columns(self) -> Indices:
         """Places (c,) in the tangent of the state of the blocks that are considered."""
+        if not self.considered:  # asked for at every step
+            return np.zeros(0, np.int64)
         own = [b for b in self.layout if {b.name, b.family} & set(self.considered)]
         columns = [np.arange(self.layout.dim)[self.layout.tangent(b.name)] for b in own]
         return np.concatenate([np.zeros(0, np.int64), *columns])
