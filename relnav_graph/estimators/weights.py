@@ -50,11 +50,11 @@ def thresholds(assembly: Assembly, gates: Mapping[str, float]) -> Array:
 
 
 def losses_of(assembly: Assembly, losses: Mapping[str, Loss]) -> Array:
-    """Kind and tuning constant, in sigmas, of each observation's loss, (observations, 2)."""
+    """Kind and tuning of each observation's loss, (observations, 2), see `Loss.numbers`."""
     numbers = np.array([[0.0, 1.0]] * len(assembly.sensor_names)).reshape(-1, 2)
     for i, name in enumerate(assembly.sensor_names):
         if name in losses:
-            numbers[i] = losses[name].numbers()
+            numbers[i] = losses[name].numbers(int(assembly.tables.sensors[i, ROWS]))
     by_observation: Array = numbers[assembly.sensor_of]
     return by_observation
 
@@ -88,7 +88,8 @@ def count_downweighted(assembly: Assembly, weights: Array) -> dict[str, int]:
 
 
 def lost(assembly: Assembly, weights: Array) -> dict[str, float]:
-    """Sum over each sensor's observations of the weight they lack: 1 for a rejected one.
+    """Sum over each sensor's observations of the weight they lack: 1 for a rejected one; below zero
+    where a loss of student_t gives more than it takes.
 
     weights: (observations,), square roots, as of `residual_weights`.
     """

@@ -95,7 +95,7 @@ def _check_keys(kind: str, keys: Sequence[int], blocks: Sequence[Block]) -> None
 
 #: GTSAM's estimators whose weights are those of our losses, by kind, and the power of their tuning
 #: constant: ours times the root of the number of rows, since GTSAM weighs by the norm of the
-#: residual and we by its root mean square.
+#: residual and we by its root mean square. A student_t is its Cauchy, see `_noise_model`.
 _ROBUST: Mapping[str, tuple[str, int]] = {
     "huber": ("Huber", 1),
     "cauchy": ("Cauchy", 1),
@@ -116,8 +116,13 @@ def _noise_model(kind: str, rows: int, observations: int, model: NoiseModel | No
                 f"{kind}: found a loss for {observations} observations, which it would weigh as"
                 " one; expected a factor of each observation by itself"
             )
+        if model.kind == "student_t":  # (nu + m) / (nu + |r|^2) = s^-2 / (1 + |r / s|^2 / (nu + m))
+            nu = model.numbers(1)[1]
+            scaled = gtsam.noiseModel.Isotropic.Sigma(rows, float(np.sqrt(nu / (nu + rows))))
+            cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(float(np.sqrt(nu + rows)))
+            return gtsam.noiseModel.Robust.Create(cauchy, scaled)
         name, power = _ROBUST[model.kind]
-        tuning = (model.numbers()[1] * float(np.sqrt(rows))) ** power
+        tuning = (model.numbers(rows)[1] * float(np.sqrt(rows))) ** power
         estimator = getattr(gtsam.noiseModel.mEstimator, name).Create(tuning)
         return gtsam.noiseModel.Robust.Create(estimator, unit)
     if not isinstance(model, gtsam.noiseModel.Base) or model.dim() != rows:

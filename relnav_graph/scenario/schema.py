@@ -135,9 +135,9 @@ class SensorOptions(BaseModel):
 
     gate: probability of the chi-square gate on each observation; of unknown points, smoothers
     decide it again at a robust estimate of the whole history, and retire points of which no more
-    observations fit than do not. loss: a robust loss, tuning: its constant in sigmas. In
-    simulation: period, between measurements, from begin until before end; law of the noise,
-    "gaussian" or "random_direction" (of a normal length along a direction drawn at random, of the
+    observations fit than do not. loss: a robust loss, tuning: its constant in sigmas, of student_t
+    degrees of freedom. In simulation: period, between measurements, from begin until before end;
+    law of the noise, "gaussian" or "random_direction" (of a normal length along a direction drawn at random, of the
     same covariance); outliers; most: observations of one time, drawn from all that are seen;
     association_errors: fraction of the observations that get the values of another one of the
     same time.

@@ -50,7 +50,7 @@ def test_row_15_one_outlier(kind: str, sensor: str, many: float) -> None:
     assert in_sigmas(problem.layout, found, reference) < 0.5
 
 
-@pytest.mark.parametrize("loss", ["huber", "cauchy", "dcs", "tukey"])
+@pytest.mark.parametrize("loss", ["huber", "cauchy", "dcs", "tukey", "student_t"])
 @pytest.mark.parametrize("kind", ["iekf", "batch", "incremental", "fixed_lag"])
 def test_row_15_one_outlier_under_a_loss(kind: str, loss: Any) -> None:
     losses = {"ranger": Loss(loss)}

@@ -80,7 +80,7 @@ def test_uncorrelated_blocks_have_priors_of_their_own() -> None:
     assert to_gtsam(tied, x).factors.size() == factors.size() - blocks + 1
 
 
-@pytest.mark.parametrize("kind", ["huber", "cauchy", "dcs", "tukey"])
+@pytest.mark.parametrize("kind", ["huber", "cauchy", "dcs", "tukey", "student_t"])
 def test_losses_by_reweighting_are_those_of_batch(kind: str) -> None:
     problem = replace(spoilt_toy(), losses={"fix": Loss(kind)})  # type: ignore[arg-type]
     graph, values, weights = reweigh(problem)
@@ -99,7 +99,7 @@ def test_gates_by_reweighting_are_those_of_batch() -> None:
     assert _far(to_track(problem, graph, values), batch) < 1e-2
 
 
-@pytest.mark.parametrize("kind", ["huber", "cauchy"])
+@pytest.mark.parametrize("kind", ["huber", "cauchy", "student_t"])
 def test_losses_are_gtsams_robust_noise_of_each_observation(kind: str) -> None:
     """The plain graph of a problem with losses is minimised by GTSAM itself."""
     problem = replace(spoilt_toy(), losses={"fix": Loss(kind), "ranger": Loss(kind)})  # type: ignore[arg-type]
