@@ -24,13 +24,15 @@ class Epoch:
     """A time, what was measured then, and the inputs since the epoch before.
 
     t: s; inputs: for each process by name, u (rows, 1 + channels): one row per sub-interval,
-    its length in s, then the mean of each input over it, SI. Where a gap in an input was bridged,
-    u (rows, 1 + 2 channels): then the spread of each, one sigma, SI.
+    its length in s, then the mean of each input over it, SI. Where a gap in an input was bridged
+    or its stamps jitter, u (rows, 1 + 2 channels): then the spread of each, one sigma, SI.
+    bridged: how long each input was, of those that were, s, by name.
     """
 
     t: float
     measurements: tuple[Measurement, ...] = ()
     inputs: Mapping[str, Array] = field(default_factory=dict)
+    bridged: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, processes: Container[str]) -> Epoch:
         """The same with the inputs of some processes only, by name."""
@@ -126,7 +128,7 @@ def process_inputs(
     """u (rows, 1 + channels) of a process over [t0, t1], s; one row when it has no inputs.
 
     Each row: length of the sub-interval, s, then the mean of each input over it, SI; and the
-    spread of each where a gap was bridged, see `Epoch`.
+    spread of each where a gap was bridged or stamps jitter, see `Epoch`.
 
     Raises InputError when an input is missing or does not cover the interval.
     """
@@ -165,15 +167,12 @@ def _condensed(process: Dynamics, u: Array, spreads: Array) -> Array:
     return np.concatenate(parts)
 
 
-def bridged(process: Dynamics, u: Array) -> dict[str, float]:
-    """How long each input of a process was bridged in an interval, s, by name; u: see `Epoch`."""
-    out, at = {}, 1 + sum(len(columns) for columns in process.inputs.values())
-    for name, columns in process.inputs.items() if u.shape[1] > at else ():
-        held = u[:, at : at + len(columns)].any(axis=1)
-        at += len(columns)
-        if held.any():
-            out[name] = float(u[held, 0].sum())
-    return out
+def bridged(
+    process: Dynamics, series: Mapping[str, InputSeries], t0: float, t1: float
+) -> dict[str, float]:
+    """How long each input of a process is bridged in [t0, t1], s, by name."""
+    gaps = {name: series[name].gaps(t0, t1) for name in process.inputs}
+    return {name: sum(b - a for a, b in parts) for name, parts in gaps.items() if parts}
 
 
 def make_epochs(
@@ -200,11 +199,13 @@ def make_epochs(
         groups[k].append(stamped(m, float(stamps[k])))
     epochs = []
     for k, t in enumerate(stamps):
-        u = {}
+        u, held = {}, dict[str, float]()
         if k:
+            between = float(stamps[k - 1]), float(t)
             for name, process in processes.items():
-                u[name] = process_inputs(process, inputs, float(stamps[k - 1]), float(t))
-        epochs.append(Epoch(float(t), tuple(groups[k]), u))
+                u[name] = process_inputs(process, inputs, *between)
+                held |= bridged(process, inputs, *between)
+        epochs.append(Epoch(float(t), tuple(groups[k]), u, held))
     return tuple(epochs)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ __all__ = [
     "Bridge",
     "InputSeries",
     "Measurement",
+    "Stamps",
     "edge_tolerance",
 ]
 
@@ -54,6 +55,11 @@ class Measurement:
         object.__setattr__(self, "z", np.ascontiguousarray(z, dtype=np.float64))
         object.__setattr__(self, "ids", ids)
 
+    def later(self, by: float, arrives: float = 0.0) -> Measurement:
+        """The same with `by`, s, added to its time, and `arrives` to when it became known."""
+        arrival = None if self.t_arrival is None else self.t_arrival + arrives
+        return replace(self, t=self.t + by, t_arrival=arrival)
+
 
 #: Times closer than this are the same, s: above the rounding of stamps of 1e9 s.
 SAME_TIME = 1e-6
@@ -79,6 +85,15 @@ class Bridge:
     spread: Array
 
 
+@dataclass(frozen=True)
+class Stamps:
+    """How late the stamps of an input or a sensor are, lag, s; and, of an input, one sigma of how
+    long an interval between epochs is, jitter, s: see `InputSeries.spreads`."""
+
+    lag: float = 0.0
+    jitter: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class InputSeries:
     """A known input (gyro, accelerometer): its means over n intervals.
@@ -86,7 +101,8 @@ class InputSeries:
     t_start, t_end (n,): where each interval begins and ends, s; values (n, channels): the mean
     over it, SI, in the frame that the process says (for a gyro, the axes c of the chaser).
     bridge: how gaps between the intervals, before and after them are bridged, None for not at
-    all; source, lines (n,): the file, and the line of each interval, for messages.
+    all; source, lines (n,): the file, and the line of each interval, for messages; jitter: see
+    `Stamps`, s.
 
     Raises InputError on values that are not finite and on intervals that overlap or run
     backwards.
@@ -99,6 +115,7 @@ class InputSeries:
     bridge: Bridge | None = None
     source: str = ""
     lines: Indices | None = None
+    jitter: float = 0.0
 
     def __post_init__(self) -> None:
         for key in ("t_start", "t_end", "values"):
@@ -184,11 +201,31 @@ class InputSeries:
             f" at most {self.bridge.longest:g} s ([gaps] {self.name}.bridge)"
         )
 
+    def later(self, by: float) -> InputSeries:
+        """The same with `by`, s, added to every time."""
+        return replace(self, t_start=self.t_start + by, t_end=self.t_end + by) if by else self
+
     def spreads(self, edges: Array) -> Array:
         """One sigma, SI, (k, channels), of the means over k parts that adjoin at edges (k + 1,), s.
 
-        Zero where samples tell; see `Bridge`.
+        Zero where samples tell and stamps do not jitter; see `Bridge`, `Stamps`.
         """
+        out = self._held(edges)
+        if not self.jitter or not len(self.t_end):
+            return out
+        length, parts = edges[-1] - edges[0], np.diff(edges)[:, None]
+        middle = 0.5 * (self.t_start + self.t_end)
+        ends = [np.interp(edges[[0, -1]], middle, v) for v in self.values.T]
+        last = len(middle) - 1
+        own = self.values[np.minimum(np.searchsorted(self.t_end, edges[:-1], "right"), last)]
+        mean, change = (parts * own).sum(axis=0) / length, np.diff(ends).T
+        # So that what the parts add up to has the variance jitter^2 (mean^2 + change^2).
+        variance = self.jitter**2 * (mean**2 + change**2) / (length * parts)
+        spread: Array = np.sqrt(out**2 + variance)
+        return spread
+
+    def _held(self, edges: Array) -> Array:
+        """What bridges add to `spreads`."""
         channels = self.values.shape[1]
         out = np.zeros((len(edges) - 1, channels))
         if self.bridge is None or not len(self.t_end):

@@ -22,8 +22,8 @@ from relnav_graph.core.cautions import (
 )
 from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
 from relnav_graph.core.copies import copied
-from relnav_graph.core.epochs import Epoch, bridged, check_epoch
-from relnav_graph.core.measurement import SAME_TIME, Bridge
+from relnav_graph.core.epochs import Epoch, check_epoch
+from relnav_graph.core.measurement import SAME_TIME, Bridge, Stamps
 from relnav_graph.core.numbered import families, first_seen
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import InputError, ModelError
@@ -81,9 +81,9 @@ class Problem:
     processes, sensors: models by name; gates: probability of the chi-square gate by
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
     fixed-lag smoother, of the batch that a filter begins from, and for late data online, s, None
-    for their defaults; bridges: how
-    gaps in inputs are bridged, by input, where they come online; merge: s, how close to an epoch
-    is of it, online, 0 for equal times only; numbered: of each family of numbered blocks that the
+    for their defaults; bridges, stamps: how gaps in inputs are bridged, by input, and how late
+    stamps are, by input or sensor, where they come online; merge: s, how close to an epoch is of
+    it, online, 0 for equal times only; numbered: of each family of numbered blocks that the
     sensors read, the prior of one of them; known: those of them that are in the state whether they
     are measured or not; considered: names of blocks, or of families of numbered ones, that are
     counted and not estimated (Schmidt 1966): their uncertainty goes into the covariance of all
@@ -106,6 +106,7 @@ class Problem:
     window: float | None = None
     losses: Mapping[str, Loss] = field(default_factory=dict)
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
+    stamps: Mapping[str, Stamps] = field(default_factory=dict)
     merge: float = SAME_TIME
     numbered: Mapping[str, Prior] = field(default_factory=dict)
     known: tuple[Block, ...] = ()
@@ -113,7 +114,7 @@ class Problem:
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
-        for name in ("processes", "sensors", "gates", "losses", "bridges", "numbered"):
+        for name in ("processes", "sensors", "gates", "losses", "bridges", "stamps", "numbered"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for what, named in (("a process", self.processes), ("a sensor", self.sensors)):
             for name in named:
@@ -241,9 +242,8 @@ class Problem:
         s, and how much of it, s."""
         found: dict[str, dict[float, float]] = {}
         for epoch in self.epochs:
-            for name, u in epoch.inputs.items():
-                for key, length in bridged(self.processes[name], u).items():
-                    found.setdefault(key, {})[epoch.t] = length
+            for name, length in epoch.bridged.items():
+                found.setdefault(name, {})[epoch.t] = length
         return {key: list(lengths.items()) for key, lengths in found.items()}
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.cautions import Caution
-from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement
+from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement, Stamps
 from relnav_graph.core.state import Block, Layout
 
 __all__ = [
@@ -241,16 +241,25 @@ class Recording:
         if not by:
             return self
 
-        def later(m: Measurement) -> Measurement:
-            arrival = None if m.t_arrival is None else m.t_arrival + by
-            return replace(m, t=m.t + by, t_arrival=arrival)
-
-        inputs = {
-            name: replace(s, t_start=s.t_start + by, t_end=s.t_end + by)
-            for name, s in self.inputs.items()
-        }
+        inputs = {name: s.later(by) for name, s in self.inputs.items()}
         truth = self.truth and replace(self.truth, t=self.truth.t + by)
-        measurements = tuple(later(m) for m in self.measurements)
+        measurements = tuple(m.later(by, by) for m in self.measurements)
         return replace(
             self, times=self.times + by, measurements=measurements, inputs=inputs, truth=truth
         )
+
+    def with_lags(self, stamps: Mapping[str, Stamps]) -> Recording:
+        """The same with all stamps so late; its epochs are those without lags. stamps: of inputs
+        and sensors, by name."""
+        lags = {name: one.lag for name, one in stamps.items()}
+        inputs = {name: s.later(lags.get(name, 0.0)) for name, s in self.inputs.items()}
+        ms = tuple(m.later(lags[m.sensor]) if m.sensor in lags else m for m in self.measurements)
+        return replace(self, measurements=ms, inputs=inputs)
+
+    def without_lags(self, stamps: Mapping[str, Stamps]) -> Recording:
+        """The same with the stamps of when it was so, for stamps that are so late; arrivals are as
+        they were. stamps: of inputs and sensors, by name. Measurements that are moved may fall
+        between the epochs, and then make epochs of their own."""
+        early = self.with_lags({n: Stamps(-one.lag) for n, one in stamps.items() if one.lag})
+        moved = [m.t for m in early.measurements if m.sensor in stamps]
+        return replace(early, times=np.sort(np.concatenate([self.times, moved])))

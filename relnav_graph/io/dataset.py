@@ -221,12 +221,14 @@ def read_dataset(
     merge: float = SAME_TIME,
     statics: Container[str] = (),
     origin: float = 0.0,
+    late: Container[str] = (),
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
     inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
     which of the blocks are static, see `relnav_graph.io.truth.read_truth`; origin: what stamps say
-    at t = 0 of the clock of the sensors' keyframes, s.
+    at t = 0 of the clock of the sensors' keyframes, s; late: sensors whose stamps are not those of
+    epochs, since they lag.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -246,7 +248,8 @@ def read_dataset(
         parts = by_keyframe(tables[name], own, origin) if closures else {name: tables[name]}
         measurements += [m for n, part in parts.items() for m in _measurements(part, n, own[n])]
     measurements.sort(key=lambda m: m.t)
-    times = _epochs(folder, tables.values(), measurements, merge)
+    on_time = [table for name, table in tables.items() if name not in late]
+    times = _epochs(folder, on_time, measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
     source = manifest.get("truth_source", "")
     truth = read_truth(folder, blocks, times, source, statics, families(sensors))

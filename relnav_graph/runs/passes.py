@@ -137,8 +137,9 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     layout, time = scenario.layout, scenario.file.time
     blocks = {b.name: b for b in layout}
     models = scenario.sensors, scenario.input_columns
+    late = [name for name, stamps in scenario.stamps.items() if stamps.lag]
     found = read_dataset(
-        folder, *models, blocks, time.tolerance, layout.statics, origin=time.origin
+        *(folder, *models, blocks, time.tolerance, layout.statics), time.origin, late
     ).shifted(-time.origin)
     if found.truth is None:
         return found

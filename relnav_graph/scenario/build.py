@@ -24,7 +24,7 @@ from relnav_graph.estimators import find_estimator
 from relnav_graph.files import check_name, printable
 from relnav_graph.memory import check_room
 from relnav_graph.scenario.closures import at_keyframes, copy_priors
-from relnav_graph.scenario.gaps import make_bridges
+from relnav_graph.scenario.gaps import check_stamps, make_bridges
 from relnav_graph.scenario.priors import check_prior, true_statics
 from relnav_graph.scenario.scenario import Scenario, freed
 from relnav_graph.scenario.schema import (
@@ -33,13 +33,12 @@ from relnav_graph.scenario.schema import (
     Problems,
     ScenarioError,
     ScenarioFile,
-    SensorOptions,
-    besides,
     from_pydantic,
     make_kind,
     named_mount,
     shared_orbit,
 )
+from relnav_graph.scenario.settings import SensorOptions, besides
 from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules, strange_values
 from relnav_graph.scenario.true_map import true_map
 from relnav_graph.sim.contracts import GROUP as TRUTHS
@@ -259,6 +258,7 @@ def make_scenario(
             points = true_map(told.get("map"), sensors, settings, file.simulated, problems)
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
+        check_stamps(file, made["processes"], problems)
         _check_steps(made["processes"], truth, file, problems)
         _check_room(file, inputs, options, layout, problems)
     if problems or file is None or layout is None:

@@ -15,7 +15,8 @@ from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.registry import find_class
-from relnav_graph.scenario.schema import BlockPrior, Problems
+from relnav_graph.scenario.schema import Problems
+from relnav_graph.scenario.settings import BlockPrior
 from relnav_graph.units import Quantity, parse_quantity
 
 __all__ = ["at_keyframes", "copy_priors"]

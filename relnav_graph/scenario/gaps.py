@@ -9,10 +9,11 @@ import numpy as np
 from relnav_graph.core.contracts import Dynamics
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.errors import InputError
-from relnav_graph.scenario.schema import GapSettings, Problems, ScenarioFile
+from relnav_graph.scenario.schema import Problems, ScenarioFile
+from relnav_graph.scenario.settings import GapSettings
 from relnav_graph.units import Quantity, column_unit, parse_quantity
 
-__all__ = ["make_bridges"]
+__all__ = ["check_stamps", "make_bridges"]
 
 #: How far an input may have gone from its last mean, where the scenario does not say: of a craft
 #: that turns steadily and coasts.
@@ -55,3 +56,17 @@ def make_bridges(
         if bridge is not None:
             found[name] = bridge
     return found
+
+
+def check_stamps(file: ScenarioFile, processes: Mapping[str, Dynamics], problems: Problems) -> None:
+    """Note in `problems` each of [stamps] that is of no input and no sensor, or jitters and is of
+    a sensor."""
+    inputs = {name for p in processes.values() for name in p.inputs}
+    for name, own in file.stamps.items():
+        if name not in inputs and name not in file.sensors:
+            known = ", ".join([*inputs, *file.sensors])
+            problems.append((f"stamps.{name}", f"neither input nor sensor; there are: {known}"))
+        elif name not in inputs and own.jitter:
+            known = ", ".join(inputs) or "none"
+            message = f"found that of a sensor, expected that of an input; there are: {known}"
+            problems.append((f"stamps.{name}.jitter", message))

@@ -13,7 +13,8 @@ from relnav_graph.core.state import UNIT_QUATERNION, Block, Layout
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
-from relnav_graph.scenario.schema import BlockPrior, Problems, ScenarioFile
+from relnav_graph.scenario.schema import Problems, ScenarioFile
+from relnav_graph.scenario.settings import BlockPrior
 from relnav_graph.units import Quantity
 
 __all__ = ["check_prior", "make_prior", "numbered_priors", "true_statics"]

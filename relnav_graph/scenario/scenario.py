@@ -14,7 +14,7 @@ from relnav_graph.core.cautions import Caution, orbit_cautions
 from relnav_graph.core.contracts import CopiesBlocks, Dynamics, Mountable, Sensor
 from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
 from relnav_graph.core.epochs import Epoch, epoch_times, make_epochs
-from relnav_graph.core.measurement import SAME_TIME, Bridge
+from relnav_graph.core.measurement import SAME_TIME, Bridge, Stamps
 from relnav_graph.core.numbered import families, first_seen, number_in
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Block, Layout
@@ -24,11 +24,8 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths.losses import Loss
 from relnav_graph.scenario.first_estimate import initialise
 from relnav_graph.scenario.priors import make_prior, numbered_priors
-from relnav_graph.scenario.schema import (
-    ScenarioFile,
-    SensorOptions,
-    besides,
-)
+from relnav_graph.scenario.schema import ScenarioFile
+from relnav_graph.scenario.settings import SensorOptions, besides
 from relnav_graph.scenario.true_map import TrueMap
 from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
 from relnav_graph.sim.contracts import Controller
@@ -87,6 +84,11 @@ class Scenario:
         """Robust loss of each sensor that has one."""
         found = self.options.items()
         return {name: Loss(o.loss, o.tuning) for name, o in found if o.loss is not None}
+
+    @property
+    def stamps(self) -> dict[str, Stamps]:
+        """How late, and how unsteady, the stamps of inputs and sensors are, by name."""
+        return {name: Stamps(s.lag, s.jitter) for name, s in self.file.stamps.items()}
 
     @property
     def timings(self) -> dict[str, Timing]:
@@ -181,7 +183,8 @@ class Scenario:
             )
         models, timings = (self.processes, self.true_sensors), (self.timings, self.times)
         found = simulate(self.truth, self.inputs, *models, *timings, seed, run, self.statics)
-        return replace(found, truth=found.truth and self._scored(found.truth))
+        found = replace(found, truth=found.truth and self._scored(found.truth))
+        return found.with_lags(self.stamps)
 
     def _scored(self, truth: Truth) -> Truth:
         """What of a truth is of this state, and the map."""
@@ -221,8 +224,11 @@ class Scenario:
         EstimationError when it is to be measured and cannot be.
         """
         check_step(recording.times, self.file.time.step)
-        bridges = self.bridges
-        inputs = {n: replace(s, bridge=bridges.get(n)) for n, s in recording.inputs.items()}
+        recording, bridges = recording.without_lags(self.stamps), self.bridges
+        inputs = {
+            n: replace(s, bridge=bridges.get(n), jitter=self.stamps.get(n, Stamps()).jitter)
+            for n, s in recording.inputs.items()
+        }
         epochs = make_epochs(
             self.processes,
             recording.measurements,
@@ -273,6 +279,7 @@ class Scenario:
         return Problem(
             *(*models, prior, tuple(epochs), *options, self.losses),
             bridges=self.bridges,
+            stamps=self.stamps,
             merge=self.file.time.tolerance,
             numbered=self.numbered_priors,
             considered=tuple(name for name, p in self.file.prior.items() if p.considered),

@@ -7,49 +7,32 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics, Sensor
-from relnav_graph.core.epochs import LONGEST, unit_hint
-from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.errors import InputError, ModelError
-from relnav_graph.maths.losses import LossKind
 from relnav_graph.registry import classes, find_class, provides
+from relnav_graph.scenario.settings import (
+    STRICT,
+    BlockPrior,
+    Bound,
+    DataSettings,
+    GapSettings,
+    OnlineSettings,
+    SensorOptions,
+    StampSettings,
+    TimeSettings,
+)
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 from relnav_graph.sim.contracts import Instrument
-from relnav_graph.sim.sensors import Law, Timing
-from relnav_graph.units import Quantity, parse_quantity
 
-__all__ = [
-    "BlockPrior",
-    "ScenarioError",
-    "ScenarioFile",
-    "SensorOptions",
-    "json_schema",
-]
+__all__ = ["ScenarioError", "ScenarioFile", "json_schema"]
 
 Problems = list[tuple[str, str]]
-
-
-def _checked_bound(value: float | str) -> float | str:
-    if isinstance(value, str):
-        parse_quantity(value, "s")
-    elif not 0 <= value <= 1:
-        raise InputError(f"found {value}, expected a fraction of the pass or a time like '60 s'")
-    return value
 
 
 #: Characters of a message.
@@ -57,9 +40,6 @@ _LONGEST = 1000
 MISSING = "missing, and required"
 #: What [truth] may tell of recorded data: true values that no model of a truth gives.
 BESIDE_TRUTH = {"statics", "map"}
-Seconds = Annotated[float, Quantity("s", positive=True)]
-Bound = Annotated[float | str, AfterValidator(_checked_bound)]
-_STRICT = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
 
 class ScenarioError(InputError):
@@ -74,154 +54,6 @@ class ScenarioError(InputError):
         lines = "\n".join(f"  {path or '(file)'}: {message}" for path, message in problems)
         count = "1 error" if len(problems) == 1 else f"{len(problems)} errors"
         super().__init__(f"{source}: {count}\n{lines}")
-
-
-class TimeSettings(BaseModel):
-    """The clock of a pass, and the epochs of a simulated one.
-
-    step, epochs: of a simulated pass, which has so many epochs, so far apart, from t = 0, and
-    between them those of sensors whose period is no multiple of the step; recorded data need
-    neither. origin: what the stamps of files and streams say at t = 0, s: it
-    is taken off when they are read, so that numbers stay small, and put back when data are
-    written; all other times (`[orbit] epoch`, `evaluate`, results) are of the pass's own clock.
-    merge: s, measurements that close to the first of an epoch are of it; 0: only equal stamps.
-    """
-
-    model_config = _STRICT
-
-    step: Seconds | None = None
-    epochs: int | None = Field(default=None, ge=1)
-    origin: Annotated[float, Quantity("s")] = 0.0
-    merge: Annotated[float, Quantity("s", nonnegative=True)] = SAME_TIME
-
-    @property
-    def tolerance(self) -> float:
-        """`merge` with room for the rounding of stamps that are just so far apart, s."""
-        return self.merge * (1 + 1e-6) if self.merge > SAME_TIME else self.merge
-
-    @model_validator(mode="after")
-    def _reasonable(self) -> TimeSettings:
-        if (self.step is None) != (self.epochs is None):
-            raise ValueError("found one of step and epochs, expected both or neither")
-        if self.step is not None and self.step > LONGEST:
-            hint = unit_hint(self.step).replace("stamps", "numbers")
-            raise ValueError(f"found step {self.step:g} s, expected at most {LONGEST:g} s{hint}")
-        return self
-
-
-class DataSettings(BaseModel):
-    """Where recorded data come from: a reader of `relnav_graph.io.readers`; `simulate`: the
-    sensors that a raw folder lacks, simulated on its truth."""
-
-    model_config = _STRICT
-
-    reader: str
-    options: dict[str, Any] = {}
-    simulate: list[str] = []
-
-
-class OutlierSettings(BaseModel):
-    """Simulated outliers: `fraction` of the observations, with errors of `size` sigmas, each
-    in a direction drawn at random."""
-
-    model_config = _STRICT
-
-    fraction: float = Field(gt=0, lt=1)
-    size: float = Field(gt=0)
-
-
-class SensorOptions(BaseModel):
-    """Settings that every sensor has, whatever its model.
-
-    gate: probability of the chi-square gate on each observation; of unknown points, smoothers
-    decide it again at a robust estimate of the whole history, and retire points of which no more
-    observations fit than do not. loss: a robust loss, tuning: its constant in sigmas, of student_t
-    degrees of freedom. In simulation: period, between measurements, from begin until before end;
-    law of the noise, "gaussian" or "random_direction" (of a normal length along a direction drawn at random, of the
-    same covariance); outliers; most: observations of one time, drawn from all that are seen;
-    association_errors: fraction of the observations that get the values of another one of the
-    same time.
-    """
-
-    model_config = _STRICT
-
-    gate: float | None = Field(default=None, gt=0, lt=1)
-    loss: LossKind | None = None
-    tuning: float | None = Field(default=None, gt=0)
-    period: Seconds | None = None
-    begin: Seconds | None = None
-    end: Seconds | None = None
-    law: Law = "gaussian"
-    outliers: OutlierSettings | None = None
-    most: int | None = Field(default=None, ge=1)
-    association_errors: float = Field(default=0.0, ge=0, lt=1)
-
-    @model_validator(mode="after")
-    def _in_order(self) -> SensorOptions:
-        if self.begin is not None and self.end is not None and not self.begin < self.end:
-            raise ValueError(f"found begin at {self.begin} s and end at {self.end} s")
-        return self
-
-    def timing(self) -> Timing:
-        """The settings as the simulator takes them."""
-        begin = -math.inf if self.begin is None else self.begin
-        end = math.inf if self.end is None else self.end
-        o = self.outliers
-        struck = (0.0, 0.0) if o is None else (o.fraction, o.size)
-        few = self.most, self.association_errors
-        return Timing(self.period, *struck, begin, end, self.law, *few)
-
-
-def besides(step: float | None, options: Iterable[SensorOptions]) -> set[float]:
-    """Periods of sensors, s, that are no multiples of the step of a simulated pass, s: they measure
-    between its epochs, so that it has these besides."""
-    if step is None:
-        return set()
-    periods = {o.period for o in options if o.period is not None}
-    return {p for p in periods if p / step < 1 - 1e-6 or abs(p / step - round(p / step)) > 1e-6}
-
-
-class OnlineSettings(BaseModel):
-    """Settings of estimators that take one epoch at a time. window: length of the fixed-lag
-    smoother's window, and how late a measurement may come; by default 30 epochs. Also of the batch
-    that `ekf_batch_start` begins with; by default 100 s."""
-
-    model_config = _STRICT
-
-    window: Seconds | None = None
-
-
-class GapSettings(BaseModel):
-    """How gaps in an input are bridged, before, between and after its samples: for `bridge`
-    seconds at most the last mean goes on, and the variance (spread x length)^2 is added to what
-    is integrated of it. `spread`, in the unit of the input, is one number or one for each of its
-    channels; by default 0.1 deg/s for rates, 0.01 m/s^2 for accelerations, 0.1 m/s for
-    velocities; an input of another unit is bridged only where it is given. A longer gap is an
-    error; a stream begins again after it."""
-
-    model_config = _STRICT
-
-    bridge: Annotated[float, Quantity("s", nonnegative=True)] = 30.0
-    spread: Any = None
-
-
-class BlockPrior(BaseModel):
-    """Prior of one block. sigma: one for all axes or one each, SI or strings with units.
-
-    mean: "drawn" about the truth with sigma (simulation only), "truth" itself, "measured"
-    by the first frames, or values (an attitude as a rotation vector, or as q_wxyz: scalar first,
-    normalised within 1e-3). Of a family of blocks (`point`, of an unknown map) one prior stands for
-    each: values, by default zero, or "measured", which is the same: a point starts from where it is
-    first seen, and is within sigma of the target's centre of mass; or "drawn" or "truth", written
-    out, of each its own. considered: not estimated, but counted in the covariances of all others
-    (Schmidt 1966), by `ekf`, and of static blocks by `batch` and `isam2`.
-    """
-
-    model_config = _STRICT
-
-    sigma: Any
-    mean: Literal["drawn", "truth", "measured"] | list[Any] = "drawn"
-    considered: bool = False
 
 
 class ScenarioFile(BaseModel):
@@ -251,7 +83,7 @@ class ScenarioFile(BaseModel):
     48 at most: they are those of tables, too.
     """
 
-    model_config = _STRICT
+    model_config = STRICT
 
     title: str
     description: str = ""
@@ -266,6 +98,7 @@ class ScenarioFile(BaseModel):
     control: dict[str, Any] | None = None
     inputs: dict[str, dict[str, Any]] = {}
     gaps: dict[str, GapSettings] = {}
+    stamps: dict[str, StampSettings] = {}
     processes: dict[str, dict[str, Any]] = Field(min_length=1)
     sensors: dict[str, dict[str, Any]] = Field(min_length=1)
     prior: dict[str, BlockPrior]

@@ -20,8 +20,9 @@ __all__ = [
 ]
 
 #: What no scenario needs, and what would keep a reader of files busy for minutes or for ever:
-#: bytes of a file, tables within tables, files that are each the base of the one before.
-_BYTES, _DEPTH, _BASES = 16 * 2**20, 64, 16
+#: bytes of a file, tables within tables, files that are each the base of the one before, files in
+#: all.
+_BYTES, _DEPTH, _BASES, _FILES = 16 * 2**20, 64, 16, 64
 #: A dotted key of more parts than that: tomllib takes the square of their number.
 _LONG_KEY = re.compile(
     rf"(?<![\w.\"'-])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{_DEPTH}}}"
@@ -133,35 +134,46 @@ def _text(path: Path, of_data: bool) -> str:
         raise cannot(f"not valid TOML: {error}", error) from error
 
 
-def read_toml(path: Path, above: tuple[Path, ...] = (), of_data: bool = False) -> dict[str, Any]:
-    """The tables of a TOML file, over those of the file that it names as `base`: see `merge`.
+def read_toml(path: Path, of_data: bool = False) -> dict[str, Any]:
+    """The tables of a TOML file, over those of the file, or the list of files, that it names as
+    `base`, later ones over earlier ones: see `merge`.
 
-    above: the files that have named this one; of_data: it lies in a data set. Raises
-    ScenarioError (InputError of data) when one cannot be read, holds what no scenario may, or
-    names one of those.
+    of_data: it lies in a data set. Raises ScenarioError (InputError of data) when a file cannot be
+    read, holds what no scenario may, or is its own base.
     """
+    return _read(path, (), [], of_data)
+
+
+def _read(path: Path, above: tuple[Path, ...], read: list[Path], of_data: bool) -> dict[str, Any]:
+    """`read_toml`, of a base of others. above: the files that lead to this one; read: all that have
+    been read so far, to which this one is added."""
     text = _text(path, of_data)
+    read.append(path)
     try:
         raw = _parse(text)
     except ValueError as error:
         raise ScenarioError(str(path), [("", f"not valid TOML: {error}")]) from error
     if problems := strange_values(raw):
         raise ScenarioError(str(path), problems)
-    base = raw.pop("base", None)
-    if base is None:
-        return raw
-    problem = f"found {base!r}, expected another file"
-    try:
-        above = (*above, path.resolve())
-        other = path.parent / str(base)
-        known = not isinstance(base, str) or other.resolve() in above
-    except (OSError, RuntimeError) as error:  # links that lead to each other
-        raise ScenarioError(str(path), [("base", f"{problem}: {error}")]) from error
-    if len(above) > _BASES:
-        known, problem = True, f"found more than {_BASES} files, each the base of the one before"
-    if known:
-        raise ScenarioError(str(path), [("base", problem)])
-    return merge(read_toml(other, above, of_data), raw)
+    base, found = raw.pop("base", []), dict[str, Any]()
+    above = (*above, path.resolve())
+    for i, one in enumerate(base if isinstance(base, list) else [base]):
+        where = f"base[{i}]" if isinstance(base, list) else "base"
+        problem = f"found {one!r}, expected another file"
+        try:
+            other = path.parent / str(one)
+            known = not isinstance(one, str) or other.resolve() in above
+        except (OSError, RuntimeError) as error:  # links that lead to each other
+            raise ScenarioError(str(path), [(where, f"{problem}: {error}")]) from error
+        if len(above) > _BASES:
+            problem = f"found more than {_BASES} files, each the base of the one before"
+        elif len(read) >= _FILES:
+            problem = f"found more than {_FILES} files, expected fewer"
+        elif not known:
+            found = merge(found, _read(other, above, read, of_data))
+            continue
+        raise ScenarioError(str(path), [(where, problem)])
+    return merge(found, raw)
 
 
 def override(raw: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:

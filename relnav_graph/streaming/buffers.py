@@ -137,12 +137,12 @@ class Inputs(dict[str, InputBuffer]):
                 return f"no inputs: {name} reaches {reach} s only"
         return ""
 
-    def gaps(self, bridges: Mapping[str, Bridge], now: float, t: float) -> list[Gap]:
+    def gaps(self, problem: Problem, now: float, t: float) -> list[Gap]:
         """Gaps between `now` and t, s. Raises InputError on one that is not to be bridged: longer
         than its bridge, unless it is over at t, or of an input of which nobody says how far it may
         have gone."""
         found = []
-        for name, series in self._series(bridges, now, t).items():
+        for name, series in self._series(problem, problem.bridges, now, t).items():
             try:
                 parts, long = series.gaps(now, t), False
             except InputError:
@@ -153,11 +153,13 @@ class Inputs(dict[str, InputBuffer]):
         return found
 
     def _series(
-        self, bridges: Mapping[str, Bridge], now: float, t: float
+        self, problem: Problem, bridges: Mapping[str, Bridge], now: float, t: float
     ) -> dict[str, InputSeries]:
+        jitter = {name: s.jitter for name, s in problem.stamps.items()}
+        series = {name: buffer.series(now, t, beside=True) for name, buffer in self.items()}
         return {
-            name: replace(buffer.series(now, t, beside=True), bridge=bridges.get(name))
-            for name, buffer in self.items()
+            name: replace(own, bridge=bridges.get(name), jitter=jitter.get(name, 0.0))
+            for name, own in series.items()
         }
 
     def since(self, problem: Problem, now: float, t: float, hold: bool) -> dict[str, Array]:
@@ -171,7 +173,7 @@ class Inputs(dict[str, InputBuffer]):
             series = {name: buffer.held(now, t) for name, buffer in self.items()}
         else:
             endless = {name: _endless(bridge) for name, bridge in problem.bridges.items()}
-            series = self._series(endless, now, t)
+            series = self._series(problem, endless, now, t)
         processes = problem.processes
         return {name: process_inputs(p, series, now, t) for name, p in processes.items()}
 

@@ -11,10 +11,9 @@ first, w >= 0. In come, in any order,
     {"input": "gyro", "t_start": 0.0, "t_end": 10.0, "values": [...], "t_arrival": 10.1}
     {"epoch": 20.0}
 
-- The first is the *header*, at most once and before all others; it may be missing. `prior`
-  gives means at time `t` for blocks that the scenario has drawn about the truth, `settings`
-  what a recording brings for the scenario (camera constants, points): data, which never name
-  a module.
+- The first is the *header*, at most once and before all others; it may be missing. `prior` gives
+  means at time `t` for blocks that the scenario has drawn about the truth, `settings` what a
+  recording brings for the scenario (camera constants, points): data, which never name a module.
 - A *measurement*: what a sensor saw at its time of validity t, a row of `z` for each id. A loop
   closure has the time of the earlier epoch, one of the sensor's keyframes, as `t_from`.
 - An *input*: the mean of a known input over [t_start, t_end].
@@ -63,15 +62,14 @@ Out goes a line for each epoch, and for each one that a late measurement improve
   there is none.
 - `sigma` of an attitude are angles about the axes of its right-hand frame; null where there is
   none, as of the principal axes of two equal moments.
-- `rejected`: what was not used since the line before, and why; `id` null for all of a line,
-  `sensor` null for a line that names none.
+- `rejected`: what was not used since the line before, and why; `id` null for all of a line.
 - `cautions`: what leaves the status as it is, and must be known all the same, as
   {"name": ..., "text": ...}; the key is there only where there is any. At the end, an estimator
   that holds the whole pass (incremental, isam2) and is OK takes a second look at it
   (`relnav_graph.estimators.second_look`), about as long as two or three batch estimates of all
   epochs; what it finds is in a last line, "the end of the stream".
-- All times out are of the pass's clock: where the scenario has a [time] origin, that is taken
-  off all times in, `t` of the header too.
+- All times out are of the pass's clock: a [time] origin is taken off all times in, that of the
+  header too, a lag of [stamps] off those of its input, whose later samples are waited for.
 - `latency_ms`: computing time, from the last line in that it needed to this line.
 - `now`: with --predict-to-now, {"t": ..., "estimate": ...} at the newest time heard of; the
   newest inputs go on to it. Where there are none, `estimate` is null and `message` says so.
@@ -85,6 +83,7 @@ from __future__ import annotations
 import codecs
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -116,6 +115,7 @@ FORMAT, VERSION = "relnav-lines", 1
 LONGEST = 1 << 20
 #: No kind of line has as many keys.
 MOST_KEYS = 20
+NO_LAGS: Mapping[str, float] = MappingProxyType({})
 #: Larger values, SI, are of no instrument, and their powers overflow.
 LARGEST = 1e30
 
@@ -294,11 +294,13 @@ def _named(raw: Mapping[str, Any], origin: float) -> tuple[str | None, float | N
     return name, float(t) - origin
 
 
-def _since(origin: float, line: _Line) -> _Line:
-    """The line with its times counted from `origin`, s."""
-    times = ("t", "t_from", "t_start", "t_end", "epoch", "t_arrival") if origin else ()
-    found = {name: getattr(line, name, None) for name in times}
-    return line.model_copy(update={n: t - origin for n, t in found.items() if t is not None})
+def _since(origin: float, lags: Mapping[str, float], line: _Line) -> _Line:
+    """The line with its times counted from `origin`, s, and its stamps without lag."""
+    late = origin + lags.get(getattr(line, "sensor", getattr(line, "input", "")), 0.0)
+    off = dict.fromkeys(("t", "t_from", "t_start", "t_end"), late)
+    off |= {"epoch": origin, "t_arrival": origin}
+    found = {name: getattr(line, name, None) for name, by in off.items() if by}
+    return line.model_copy(update={n: t - off[n] for n, t in found.items() if t is not None})
 
 
 def _other_form(text: bytes) -> str:
@@ -313,10 +315,8 @@ def _other_form(text: bytes) -> str:
 
 
 def _object(text: bytes) -> dict[str, Any]:
-    """The object that a line is, after the mark that some editors put before a first line.
-
-    Raises LineError, which says what is there instead.
-    """
+    """The object that a line is, after the mark that some editors put before a first line. Raises
+    LineError, which says what is there instead."""
     text = text.removeprefix(codecs.BOM_UTF8)
     try:
         if len(text) > LONGEST:
@@ -339,18 +339,19 @@ def parse_line(
     sensors: Mapping[str, Sensor],
     inputs: Mapping[str, tuple[str, ...]],
     origin: float = 0.0,
+    lags: Mapping[str, float] = NO_LAGS,
 ) -> tuple[int | None, Header | Measurement | InputSample | Tick]:
     """The number of a line, where it has one, and what it says.
 
-    inputs: columns of each input, by name; origin: s, taken off all its times. Raises LineError on
-    whatever is wrong with it.
+    inputs: columns of each input, by name; origin: s, taken off all its times; lags: of sensors and
+    inputs, s, taken off their stamps. Raises LineError on whatever is wrong with it.
     """
     raw = _object(text)
     kinds = [kind for key, kind in _KINDS.items() if key in raw]
     try:
         if len(kinds) != 1:
             raise InputError(f"found keys {list(raw)}, expected one of {', '.join(_KINDS)}")
-        line = _since(origin, kinds[0].model_validate(raw))
+        line = _since(origin, lags, kinds[0].model_validate(raw))
         return line.n, _checked(line, sensors, inputs)
     except ValidationError as error:
         problems = "; ".join(f"{path}: {text[:200]}" for path, text in from_pydantic("line", error))

@@ -69,7 +69,7 @@ class Session:
         self.seq = 0
         self.status = "LOST"
         self.lines = self.refused = 0
-        self._origin = origin
+        self._origin, self._lags = origin, {n: s.lag for n, s in problem.stamps.items()}
         self._patience = options.patience or problem.window or PATIENCE
         self._refusals = Refusals((*problem.sensors, *self.columns))
         self._intake = Intake(
@@ -99,7 +99,8 @@ class Session:
     def parse(self, raw: bytes) -> Parsed:
         """The content of a line, checked; changes no state."""
         try:
-            return Parsed(*parse_line(raw, self.problem.sensors, self.columns, self._origin))
+            off = self._origin, self._lags
+            return Parsed(*parse_line(raw, self.problem.sensors, self.columns, *off))
         except LineError as error:
             return Parsed(None, error)
 
@@ -220,7 +221,7 @@ class Session:
     def _bridge(self, now: float, t: float) -> str:
         """Say which gaps in inputs are bridged from `now` to t, s; or why they cannot be."""
         try:
-            gaps = self._inputs.gaps(self.problem.bridges, now, t)
+            gaps = self._inputs.gaps(self.problem, now, t)
         except InputError as error:
             return f"no inputs: {error}"
         for gap in gaps:
