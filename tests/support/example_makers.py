@@ -22,6 +22,7 @@ from relnav_factors.sensors.earth_sensor import EarthSensor
 from relnav_factors.sensors.gps_pseudorange import GpsPseudorange
 from relnav_factors.sensors.laser_range_angles import LaserRangeAngles
 from relnav_factors.sensors.mono_point import MonoPoint
+from relnav_factors.sensors.pose_measurement import PoseMeasurement
 from relnav_factors.sensors.pose_odometry import PoseOdometry
 from relnav_factors.sensors.stereo_point import StereoPoint
 
@@ -127,6 +128,14 @@ def odometry(**options: Any) -> SensorExample:
     )
     places = {"previous_relative_position": 1.0, "relative_position": 1.0}
     steps = {b.name: 0.1 for b in model.reads} | places
+    return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
+
+
+def pose_measurement(**options: Any) -> SensorExample:
+    model = PoseMeasurement(
+        position_sigma=np.array([5e-3, 4e-3, 6e-3]), attitude_sigma=np.full(3, 0.01), **options
+    )
+    steps = {b.name: 0.1 for b in model.reads} | {"relative_position": 1.0}
     return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
 
 

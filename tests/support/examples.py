@@ -33,6 +33,7 @@ from example_makers import (
     orbit,
     own_orbit,
     point_sensor,
+    pose_measurement,
     position_sensor,
     pseudorange,
     pulled,
@@ -119,6 +120,11 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         attitude_sensor(PoseCopy(keyframe=12.5), relative_position=1.0),
         attitude_sensor(PoseCopy(keyframe=0.0, pose="target", position_sigma=1e-3)),
         attitude_sensor(PoseCopy(keyframe=3.0, parts="attitudes", attitude_sigma=1e-3)),
+    ),
+    "pose_measurement": (
+        pose_measurement(),
+        pose_measurement(**MOUNTED),
+        pose_measurement(pose="target", **MOUNTED),
     ),
     "pose_odometry": (
         odometry(scene_centre=np.array([2.0, 0.1, -0.3])),
