@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from relnav_graph.compiled import loops_so_far, prepare
@@ -20,6 +21,8 @@ from relnav_graph.compiled.symbols import meanwhile
 __all__ = ["compile_ahead", "work"]
 
 _LOG = logging.getLogger(__name__)
+#: Folders that helpers of this process fill, or have filled: it may make many scenarios.
+_BEGUN: set[Path] = set()
 
 #: What a helper runs; its tasks come on standard input.
 _PROGRAM = (
@@ -51,8 +54,10 @@ def compile_ahead(sensors: Iterable[Any], processes: Iterable[Any]) -> None:
     named = [(k, address) for k, address in kernels if "<locals>" not in _function(k).__qualname__]
     sources = {_function(kernel).__code__.co_filename for kernel, _ in named}
     folders = [folder for folder in map(cache_folder, sorted(sources)) if is_empty(folder)]
+    folders = [folder for folder in folders if folder not in _BEGUN]
     if not folders:
         return
+    _BEGUN.update(folders)
     why = why_not_kept(folders[0])
     if why:  # nor could helpers hand over what they make
         _LOG.info(

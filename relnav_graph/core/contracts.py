@@ -220,6 +220,10 @@ class Mountable(Protocol):
     def freed(self) -> Sensor:
         """The same sensor with its mounting in the state, in static blocks that it reads last."""
 
+    def mounting_fields(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """Its fields that say how it is mounted, by name, with what they are when the blocks of its
+        mounting have these values, by name, (3, 3) or (3,), SI; those that are not there: zero."""
+
 
 @runtime_checkable
 class CopiesBlocks(Protocol):

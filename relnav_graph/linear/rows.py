@@ -254,8 +254,8 @@ def propagate(
     """Fill x_next (size,), F (n, columns) and Q (n, n) of interval k from the state x (size,).
 
     ``x_next = f(x)``, ``F = d x_next / d x`` between tangents, Q the covariance of the process
-    noise, n of the blocks that move. What belongs to static blocks in x_next, and in further rows
-    of F, is left as it is. Returns the number and status of the process that failed; -1, 0 when
+    noise, n of the blocks that move; a Q without rows is not wanted. What belongs to static blocks
+    in x_next, and in further rows of F, is left as it is. Returns the number and status of the process that failed; -1, 0 when
     none did.
     """
     intervals, places, numbers = tables.intervals, tables.places, tables.numbers
@@ -283,7 +283,7 @@ def propagate(
             status = wrong
         if status != 0:
             return a, status
-        if intervals[k, a, SPREAD] != 0:
+        if intervals[k, a, SPREAD] != 0 and Q.shape[0] > 0:
             begin = intervals[k, a, U_DATA] + u.size
             spreads = _matrix(numbers, begin, u.shape[0], u.shape[1] - 1)
             kinds = places[process[KINDS] : process[KINDS + 1]].reshape(-1, 4)
@@ -299,7 +299,7 @@ def propagate(
                 Q[rows[i], j] = 0.0
             for j in range(n):
                 F[rows[i], columns[j]] = f_out[i, j]
-            for j in range(m):
+            for j in range(m if Q.shape[0] > 0 else 0):
                 Q[rows[i], rows[j]] = q_out[i, j]
     return -1, 0
 

@@ -211,7 +211,7 @@ def sweep(
         most = max(most, row_offsets[k + 1] - row_offsets[k])
     r_all, H_all = np.empty(most), np.empty((most, n + statics))
     work = work_of(n, m, max(at[CARRIED], n) + most + n)
-    x_next, F, Q = x[0].copy(), np.empty((n, n + statics)), np.empty((n, n))
+    x_next, F, Q = x[0].copy(), np.empty((n, n + statics)), np.empty((0, 0))
     e, A, B = np.empty(n), np.empty((n, n + statics)), np.empty((n, n))
     squares, carried, filled = 0.0, at[CARRIED], at[FILLED]
     for k in range(begin, end):

@@ -97,7 +97,8 @@ def _predict(
     for i in range(1 + 2 * n):
         give_way(i)
         dense.put_vector(after[i], 0, points[i])
-        a, status = propagate(tables, interval, points[i], after[i], slope, noise)
+        wanted = noise[: q if i == 0 else 0]
+        a, status = propagate(tables, interval, points[i], after[i], slope, wanted)
         if status != 0:
             failure[0], failure[1], failure[2] = PROPAGATED, a, status
             return

@@ -32,7 +32,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.errors import InputError
 
-__all__ = ["TUNING", "Loss", "LossKind", "root_weight", "root_weights"]
+__all__ = ["TUNING", "Loss", "LossKind", "loss_costs", "root_weight", "root_weights"]
 
 LossKind = Literal["huber", "cauchy", "dcs", "tukey", "student_t"]
 
@@ -85,6 +85,27 @@ def root_weights(losses: Array, s2: Array) -> Array:
     for i in range(s2.shape[0]):
         out[i] = root_weight(losses[i, 0], losses[i, 1], s2[i])
     return out
+
+
+def loss_costs(losses: Array, s2: Array) -> Array:
+    """The losses themselves, (m,), per row: half the integral of the weight over s^2, from zero.
+
+    losses: (m, 2), kind and tuning c; s2: (m,), mean squares. ``s^2 / 2`` without a loss.
+    """
+    kind, c2 = losses[:, 0], losses[:, 1] ** 2
+    out = s2.copy()
+    beyond = (kind == HUBER) & (s2 > c2)
+    out[beyond] = 2 * np.sqrt(c2[beyond] * s2[beyond]) - c2[beyond]
+    own = kind == CAUCHY
+    out[own] = c2[own] * np.log1p(s2[own] / c2[own])
+    own = (kind == DCS) & (s2 > c2)
+    out[own] = 3 * c2[own] - 4 * c2[own] ** 2 / (c2[own] + s2[own])
+    own = kind == TUKEY
+    out[own] = c2[own] / 3 * (1 - np.maximum(1 - s2[own] / c2[own], 0.0) ** 3)
+    own, c = kind == STUDENT_T, losses[:, 1]
+    out[own] = (c[own] + 1) * np.log1p(s2[own] / c[own])
+    half: Array = 0.5 * out
+    return half
 
 
 @dataclass(frozen=True)

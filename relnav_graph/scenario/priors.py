@@ -17,10 +17,11 @@ from relnav_graph.scenario.schema import Problems, ScenarioFile
 from relnav_graph.scenario.settings import BlockPrior
 from relnav_graph.units import Quantity
 
-__all__ = ["check_prior", "make_prior", "numbered_priors", "true_statics"]
+__all__ = ["check_prior", "make_prior", "numbered_priors", "prior_sigma", "true_statics"]
 
 
-def _prior_sigma(block: Block, value: Any) -> Array:
+def prior_sigma(block: Block, value: Any) -> Array:
+    """One sigma of a block (dim,), SI, as a prior gives it. Raises InputError on what is none."""
     if isinstance(value, list):
         sigma = Quantity(block.unit, (block.dim,), positive=True).parse(value)
     else:
@@ -71,7 +72,7 @@ def check_prior(
             problems.append((f"prior.{block.name}", message))
             continue
         try:
-            _prior_sigma(block, prior.sigma)
+            prior_sigma(block, prior.sigma)
         except InputError as error:
             problems.append((f"prior.{block.name}.sigma", str(error)))
         try:
@@ -90,7 +91,7 @@ def numbered_priors(
     for name, block in numbered.items():
         mean = priors[name].mean
         x = _prior_mean(block, mean) if isinstance(mean, list) else np.zeros(block.size)
-        out[name] = Prior(x, np.diag(_prior_sigma(block, priors[name].sigma) ** 2))
+        out[name] = Prior(x, np.diag(prior_sigma(block, priors[name].sigma) ** 2))
     return out
 
 
@@ -131,7 +132,7 @@ def make_prior(
 
     Raises InputError when it needs a truth that is not known.
     """
-    sigma = np.concatenate([_prior_sigma(b, priors[b.family].sigma) for b in layout])
+    sigma = np.concatenate([prior_sigma(b, priors[b.family].sigma) for b in layout])
     draw = sigma * rng.standard_normal(layout.dim)
     means: dict[str, Array] = {}
     for block in layout:

@@ -282,8 +282,15 @@ class Scenario:
             stamps=self.stamps,
             merge=self.file.time.tolerance,
             numbered=self.numbered_priors,
-            considered=tuple(name for name, p in self.file.prior.items() if p.considered),
+            considered=self._considered,
         )
+
+    @property
+    def _considered(self) -> tuple[str, ...]:
+        """Blocks, and families, that are counted and not estimated: a mounting that is known may
+        have a prior, and is not in the state."""
+        there = {*(b.name for b in self.layout), *families(self.sensors)}
+        return tuple(n for n, p in self.file.prior.items() if p.considered and n in there)
 
     def prior(
         self,

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_t
 
 from relnav_graph.arrays import Array
-from relnav_graph.maths.losses import Loss, root_weights
+from relnav_graph.maths.losses import TUNING, Loss, loss_costs, root_weights
 
 NU = 4
 
@@ -40,3 +40,12 @@ def test_student_t_weighs_its_own_errors_as_one_in_the_mean(rows: int) -> None:
     # The information of the errors, by the square of the score: what normal errors have, less.
     information = np.mean(weights**2 * s2)
     assert information == pytest.approx((NU + rows) / (NU + rows + 2), abs=0.01)
+
+
+@pytest.mark.parametrize("kind", list(TUNING))
+def test_a_weight_is_the_slope_of_its_loss(kind: str) -> None:
+    losses: Array = np.tile(Loss(kind).numbers(3), (40, 1))  # type: ignore[arg-type]
+    s2, h = np.linspace(0.01, 60.0, 40), 1e-5
+    slope = (loss_costs(losses, s2 + h) - loss_costs(losses, s2 - h)) / (2 * h)
+    np.testing.assert_allclose(slope, 0.5 * root_weights(losses, s2) ** 2, atol=1e-8)
+    assert loss_costs(losses[:1], np.zeros(1)) == 0.0

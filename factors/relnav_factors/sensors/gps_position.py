@@ -82,6 +82,11 @@ class GpsPosition(Mounted):
     def constants(self) -> Array:
         return self.antenna_position
 
+    def mounting_fields(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """r_ac_c (3,), m, with this value of what is estimated of it, by name."""
+        moved = values.get(displacement(self.mount).name, np.zeros(3))
+        return {"antenna_position": self.antenna_position + moved}
+
     def starts(
         self, ids: Indices, z: Array, known: Mapping[str, Array]
     ) -> Iterator[dict[str, Array]]:

@@ -117,6 +117,18 @@ class MountedSensor(Mounted):
         columns = sum(b.dim for b in self.mounting_blocks)
         return np.concatenate([self.sensor_attitude.ravel(), self.place, [columns]])
 
+    def mounting_fields(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """R_cs (3, 3) with these values of the mounting's blocks, by name."""
+        return {"sensor_attitude": self._moved(values)[0]}
+
+    def _moved(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """R_cs (3, 3) and r_sc_c (3,), m: `mounted`, not moved by blocks that are not there."""
+        free = self.freed()
+        own = {
+            b.name: np.eye(3) if b.manifold == "SO3" else np.zeros(3) for b in free.mounting_blocks
+        }
+        return free.mounted({**own, **values})
+
     def mounted(self, known: Mapping[str, Array]) -> tuple[Array, Array]:
         """R_cs (3, 3) and r_sc_c (3,), m; known: values of blocks, by name: where those of the
         mounting are not among them, it is the nominal one."""
@@ -145,3 +157,8 @@ class PlacedSensor(MountedSensor):
     def place(self) -> Array:
         """r_sc_c (3,), m."""
         return self.sensor_position
+
+    def mounting_fields(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """R_cs (3, 3) and r_sc_c (3,), m, with these values of the mounting's blocks, by name."""
+        R_cs, r_sc_c = self._moved(values)
+        return {"sensor_attitude": R_cs, "sensor_position": r_sc_c}

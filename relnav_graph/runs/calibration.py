@@ -1,0 +1,387 @@
+"""How sensors are mounted and how late inputs are, from a pass: values that other passes hold.
+
+The mounting of a sensor is static blocks of the state. What makes it observable is the truth, as
+measurements of the pose with the noise that the truth has. The lag of an input is no state: the
+pass is smoothed with several, and the posterior, with all states at their most likely values, is
+nearly a parabola in the lags. Its minimum and curvature give lags and covariance, and how the
+mounting follows the lags tells how their covariance adds to that of the mounting:
+
+    P_m = P_m|lag + D P_lag D^T,  D = dm / dlag
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.contracts import Mountable, Sensor
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.track import Recording, Track
+from relnav_graph.errors import EstimationError, InputError
+from relnav_graph.estimators import run_estimator
+from relnav_graph.estimators.likelihood import posterior_cost
+from relnav_graph.estimators.weights import residual_weights
+from relnav_graph.linear.assembly import Assembly
+from relnav_graph.runs.passes import Pass
+from relnav_graph.scenario.build import MOUNTED, make_scenario
+from relnav_graph.scenario.priors import prior_sigma
+from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.toml import merge
+
+__all__ = ["Calibration", "LagFound", "MountFound", "calibrate", "tables_of"]
+
+_LOG = logging.getLogger(__name__)
+
+#: The sensor that the truth becomes, and what is known of a mounting where the prior says nothing.
+TRUTH, ROTATION, ARM = "measured_truth", "10 deg", "0.5 m"
+#: A pass tells what it knows twice as well as before.
+TOLD = 0.5
+#: Rounds of the search for the lags, at most; the change, in sigmas, that ends it.
+ROUNDS, SMALL = 12, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class MountFound:
+    """What was found of one static block of a mounting: how far it is off what the sensor states.
+
+    value (3, 3) or (3,): R_ns, or d_sn_c, m; P (3, 3): its covariance, rad^2 or m^2; told (3,):
+    whether the pass tells it, along each axis; held: whether it was not estimated at all.
+    """
+
+    sensor: str
+    block: Block
+    value: Array
+    P: Array
+    told: NDArray[np.bool_]
+    held: bool
+
+
+@dataclass(frozen=True)
+class LagFound:
+    """Lag of an input and its sigma, s; told: whether that is shorter than a sample."""
+
+    input: str
+    value: float
+    sigma: float
+    told: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What a pass says of mountings and lags.
+
+    sensors: the fields of each that say how it is mounted, as they were found, by name; truth:
+    whether that was used; before, after: mean squared whitened residual of the measurements that
+    count, smoothed without the truth, before and with what was found.
+    """
+
+    scenario: str
+    sensors: Mapping[str, Mapping[str, Array]]
+    mounts: tuple[MountFound, ...]
+    lags: tuple[LagFound, ...]
+    truth: bool
+    before: float = np.nan
+    after: float = np.nan
+
+
+def calibrate(
+    opened: Pass,
+    sensors: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+    *,
+    arms: bool | None = None,
+    truth: bool = True,
+) -> Calibration:
+    """Mountings and lags that a pass says.
+
+    sensors: those whose mounting is to be found, by default all that have one; inputs: those whose
+    lag is, by default all; arms: whether lever arms are estimated, by default where the truth is
+    used: without it they may run away; truth: whether it is used, as measurements of the pose with
+    the scenario's [truth_noise].
+
+    Raises InputError on names that are none, when there is nothing to calibrate, or no truth, or
+    no noise of it; EstimationError when the pass cannot be smoothed.
+    """
+    scenario = opened.scenario
+    sensors, inputs = _chosen(scenario, sensors, inputs)
+    arms = truth if arms is None else arms
+    recording, tables = opened.recording, _freed(scenario, sensors, arms)
+    if truth:
+        posed = _truth_tables(scenario, recording)
+        tables = merge(tables, {"sensors": {TRUTH: posed}})
+        made = make_scenario(tables, scenario.name)
+        recording = _with_truth(made, recording)
+    search = _Search(tables, scenario.name, recording, opened, tuple(inputs))
+    lags, P_lags, track = search.minimum()
+    slopes = search.slopes(lags, track)
+    mounts = tuple(_mounts(search.scenario(lags), sensors, arms, track, slopes, P_lags))
+    every = zip(inputs, lags, np.sqrt(np.diag(P_lags)), search.samples, strict=True)
+    found = Calibration(
+        scenario.name,
+        {name: _fields(scenario.sensors[name], mounts) for name in sensors},
+        mounts,
+        tuple(LagFound(n, float(v), float(s), bool(s < dt)) for n, v, s, dt in every),
+        truth,
+    )
+    misfits = [_misfit(scenario, opened)]
+    with_it = make_scenario(merge(scenario.raw, tables_of(found)), scenario.name)
+    return replace(found, before=misfits[0], after=_misfit(with_it, opened))
+
+
+def tables_of(found: Calibration) -> dict[str, Any]:
+    """What was found as tables of a scenario, which holds it; and the covariance of a mounting as a
+    prior that counts, without being estimated, where the scenario says mounting = "estimated"."""
+    sensors = {
+        name: {"mounting": "known", **{key: value.tolist() for key, value in own.items()}}
+        for name, own in found.sensors.items()
+    }
+    priors = {
+        m.block.name: {
+            "sigma": np.sqrt(np.diag(m.P)).tolist(),
+            "mean": [0.0, 0.0, 0.0],
+            "considered": True,
+        }
+        for m in found.mounts
+        if not m.held
+    }
+    lags = {lag.input: {"lag": lag.value} for lag in found.lags if lag.told}
+    return {"sensors": sensors, "prior": priors, "stamps": lags}
+
+
+def _chosen(
+    scenario: Scenario, sensors: Sequence[str] | None, inputs: Sequence[str] | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The sensors and inputs to calibrate. Raises InputError on what cannot be, or when there is
+    nothing."""
+    mountable = [n for n, s in scenario.sensors.items() if isinstance(s, Mountable)]
+    known = list(scenario.input_columns)
+    for what, names, all_of in (("sensor", sensors, mountable), ("input", inputs, known)):
+        for name in names or ():
+            if name not in all_of:
+                raise InputError(
+                    f"{scenario.name}: found {what} {name!r}, expected one of those that can be"
+                    f" calibrated: {', '.join(all_of) or 'none'}"
+                )
+    chosen = tuple(mountable if sensors is None else sensors)
+    lagging = tuple(known if inputs is None else inputs)
+    if not chosen and not lagging:
+        raise InputError(f"{scenario.name}: found neither a mounting nor an input to calibrate")
+    return chosen, lagging
+
+
+def _blocks(sensor: Sensor) -> tuple[Block, ...]:
+    """The static blocks of a sensor's mounting."""
+    assert isinstance(sensor, Mountable)
+    return tuple(b for b in sensor.freed().reads if b.name.endswith(MOUNTED))
+
+
+def _freed(scenario: Scenario, sensors: Sequence[str], arms: bool) -> dict[str, Any]:
+    """The scenario's tables with these mountings in the state; lever arms only with `arms`."""
+    own: dict[str, Any] = {"sensors": {}, "prior": {}}
+    for name in sensors:
+        own["sensors"][name] = {"mounting": "estimated"}
+        for block in _blocks(scenario.sensors[name]):
+            rotation = block.manifold == "SO3"
+            wide = {"sigma": ROTATION if rotation else ARM, "mean": [0.0, 0.0, 0.0]}
+            given = scenario.file.prior.get(block.name)
+            if not rotation and not arms:
+                own["prior"][block.name] = {**wide, "sigma": "1 um", "considered": True}
+            elif given is None or given.considered:
+                own["prior"][block.name] = {**wide, "considered": False}
+    return merge(scenario.raw, own)
+
+
+def _pose(names: Sequence[str] | Layout) -> tuple[str, tuple[str, ...]]:
+    """How the pose stands in a state, and the blocks that hold it."""
+    if "relative_attitude" in names:
+        return "target", ("relative_attitude", "relative_position")
+    return "orbital", ("chaser_attitude", "target_attitude", "relative_position")
+
+
+def _truth_tables(scenario: Scenario, recording: Recording) -> dict[str, Any]:
+    """The table of the sensor that the truth becomes. Raises InputError without a truth of the
+    pose, or without its noise."""
+    pose, names = _pose(scenario.layout)
+    truth = recording.truth
+    lacking = [n for n in names if truth is None or n not in truth.values]
+    if lacking:
+        raise InputError(
+            f"{scenario.name}: the truth does not know {', '.join(lacking)}; without it, lags and"
+            " rotations are told by the measurements alone (--without-truth)"
+        )
+    noise = scenario.truth_noise
+    turns = [noise[n] for n in names[:-1] if n in noise] or (
+        [noise["relative_attitude"]] if "relative_attitude" in noise else []
+    )
+    if not turns or names[-1] not in noise:
+        raise InputError(
+            f"{scenario.name}: found [truth_noise] of {', '.join(noise) or 'nothing'}, expected"
+            f" that of {' and '.join(names)}: the truth counts as a measurement"
+        )
+    sigma = np.sqrt(np.sum([np.square(np.broadcast_to(one, 3)) for one in turns], axis=0))
+    place = np.broadcast_to(noise[names[-1]], 3)
+    return {
+        "kind": "pose_measurement",
+        "pose": pose,
+        "attitude_sigma": sigma.tolist(),
+        "position_sigma": place.tolist(),
+    }
+
+
+def _with_truth(scenario: Scenario, recording: Recording) -> Recording:
+    """The recording with its true poses as measurements, where they are known."""
+    truth, sensor = recording.truth, scenario.sensors[TRUTH]
+    assert truth is not None
+    rows, known = truth.at(recording.times)
+    values = [truth.values[name] for name in _pose(scenario.layout)[1]]
+    ids, made = np.zeros(1, np.int64), list[Measurement]()
+    for t, row in zip(recording.times[known], rows[known], strict=True):
+        x = [np.ascontiguousarray(value[row]) for value in values]
+        if all(np.isfinite(one).all() for one in x):
+            made.append(Measurement(TRUTH, float(t), sensor.predict(ids, *x), ids))
+    return replace(recording, measurements=(*recording.measurements, *made))
+
+
+@dataclass(eq=False)
+class _Search:
+    """Looks for the lags at which a pass, smoothed, is most likely."""
+
+    tables: Mapping[str, Any]
+    name: str
+    recording: Recording
+    opened: Pass
+    inputs: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        series = self.recording.inputs
+        self._made: dict[tuple[float, ...], tuple[float, Track]] = {}
+        self.samples = np.array(
+            [float(np.median(series[n].t_end - series[n].t_start)) for n in self.inputs]
+        )
+        known = self.opened.scenario.stamps
+        self.start = np.array([known[n].lag if n in known else 0.0 for n in self.inputs])
+
+    def scenario(self, lags: Array) -> Scenario:
+        """With lags (k,), s."""
+        late = {n: {"lag": float(v)} for n, v in zip(self.inputs, lags, strict=True)}
+        return make_scenario(merge(self.tables, {"stamps": late}), self.name)
+
+    def at(self, lags: Array) -> tuple[float, Track]:
+        """The cost at lags (k,), s, and the smoothed pass. Raises EstimationError where there is
+        none."""
+        key = tuple(lags.tolist())
+        if key not in self._made:
+            opened = self.opened
+            problem = self.scenario(lags).problem(self.recording, opened.seed, opened.run)
+            track = run_estimator("batch", problem)
+            if track.status == "diverged":
+                raise EstimationError(f"{self.name}: not smoothed: {track.message}")
+            self._made[key] = posterior_cost(problem, track.states), track
+            text = ", ".join(f"{n} {v:.6g} s" for n, v in zip(self.inputs, lags, strict=True))
+            _LOG.info(f"lags {text or 'none'}: cost {self._made[key][0]:.6g}")
+        return self._made[key]
+
+    def minimum(self) -> tuple[Array, Array, Track]:
+        """Lags (k,), s, their covariance (k, k), infinite where they are not told, and the pass."""
+        lags, h = self.start, 0.5 * self.samples
+        P: Array = np.zeros((len(lags), len(lags)))
+        for _ in range(ROUNDS if len(lags) else 0):
+            cost, _ = self.at(lags)
+            g, H = self._parabola(lags, h)
+            curved = bool(np.linalg.eigvalsh(H)[0] > 0)
+            P = np.linalg.inv(H) if curved else np.diag(np.full(len(lags), np.inf))
+            near = min(self._made, key=lambda key: self._made[key][0])
+            step = -P @ g if curved else np.array(near) - lags
+            step = np.clip(step, -4 * h, 4 * h)
+            if curved:
+                sigma = np.sqrt(np.diag(P))
+                small = np.abs(step) < SMALL * sigma
+                narrow = h <= 4 * sigma
+                h = np.clip(3 * sigma, 0.01 * self.samples, 0.5 * self.samples)
+                if small.all() and narrow.all():
+                    break
+            for _ in range(4):
+                if self.at(lags + step)[0] <= cost:
+                    lags = lags + step
+                    break
+                step = step / 2
+            else:
+                break
+        return lags, P, self.at(lags)[1]
+
+    def _parabola(self, lags: Array, h: Array) -> tuple[Array, Array]:
+        """Gradient (k,) and curvature (k, k) of the cost at lags (k,), s, over steps h (k,), s."""
+        k = len(lags)
+        steps, f0 = np.diag(h), self.at(lags)[0]
+        up = np.array([self.at(lags + one)[0] for one in steps])
+        down = np.array([self.at(lags - one)[0] for one in steps])
+        H = np.diag((up - 2 * f0 + down) / h**2)
+        for i, j in itertools.combinations(range(k), 2):
+            both = self.at(lags + steps[i] + steps[j])[0]
+            H[i, j] = H[j, i] = (both - up[i] - up[j] + f0) / (h[i] * h[j])
+        return (up - down) / (2 * h), H
+
+    def slopes(self, lags: Array, track: Track) -> Array:
+        """How the static blocks follow the lags, (m, k), per s."""
+        if track.statics is None:
+            return np.zeros((0, len(lags)))
+        layout, columns = track.statics.layout, list[Array]()
+        for step in np.diag(0.1 * self.samples):
+            ends = [self.at(lags + sign * step)[1].statics for sign in (-1, 1)]
+            assert ends[0] is not None
+            assert ends[1] is not None
+            moved = layout.local(ends[0].x[-1], ends[1].x[-1])
+            columns.append(moved / (2 * step.sum()))
+        return np.array(columns).reshape(len(lags), layout.dim).T
+
+
+def _mounts(
+    scenario: Scenario,
+    sensors: Sequence[str],
+    arms: bool,
+    track: Track,
+    slopes: Array,
+    P_lags: Array,
+) -> Iterator[MountFound]:
+    """The static blocks of the mountings, with the covariance that lags add."""
+    if track.statics is None:
+        return
+    layout, statics, seen = track.statics.layout, track.statics, set[str]()
+    finite = np.where(np.isfinite(P_lags), P_lags, 0.0)
+    P = statics.P[-1] + slopes @ finite @ slopes.T
+    for name in sensors:
+        for block in _blocks(scenario.sensors[name]):
+            if block.name in seen:  # sensors of one mount
+                continue
+            seen.add(block.name)
+            held = block.manifold != "SO3" and not arms
+            own = layout.tangent(block.name)
+            before = np.broadcast_to(prior_sigma(block, scenario.file.prior[block.name].sigma), 3)
+            told = np.sqrt(np.diag(P[own, own])) < TOLD * before
+            value = track.value(block.name)[-1]
+            yield MountFound(name, block, value, P[own, own], told & (not held), held)
+
+
+def _fields(sensor: Sensor, mounts: Sequence[MountFound]) -> dict[str, Array]:
+    """How the sensor was found to be mounted, by its fields."""
+    assert isinstance(sensor, Mountable)
+    return sensor.mounting_fields({m.block.name: m.value for m in mounts if not m.held})
+
+
+def _misfit(scenario: Scenario, opened: Pass) -> float:
+    """Mean squared whitened residual of the measurements that count, smoothed."""
+    problem = scenario.problem(opened.recording, opened.seed, opened.run)
+    track, assembly = run_estimator("batch", problem), Assembly.of(problem)
+    if track.status == "diverged":
+        return np.nan
+    rows = assembly.measure(track.states, np.ones(assembly.observations))
+    weights = residual_weights(assembly, rows, problem.gates, {})
+    return float(np.mean(rows.r[assembly.rows_of(weights > 0)] ** 2))
