@@ -12,8 +12,8 @@ from relnav_graph.cli.shared import show_events
 from relnav_graph.core.cautions import Caution
 from relnav_graph.runs.passes import open_dataset
 from relnav_graph.scenario.build import load_scenario
+from relnav_graph.scenario.json_schema import json_schema
 from relnav_graph.scenario.scenario import Scenario
-from relnav_graph.scenario.schema import json_schema
 
 
 @click.command("validate")

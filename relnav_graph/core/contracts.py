@@ -164,9 +164,14 @@ class Dynamics(Protocol):
 class Derived(Protocol):
     """A quantity computed from blocks, with its Jacobian, for tables and covariances."""
 
-    kind: ClassVar[str]
-    block: ClassVar[Block]
-    reads: ClassVar[tuple[Block, ...]]
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def block(self) -> Block: ...
+
+    @property
+    def reads(self) -> tuple[Block, ...]: ...
 
     def value(self, *x: Array) -> tuple[Array, Array]:
         """The value, and d(tangent of the value) / d(tangents of the blocks read).

@@ -198,11 +198,16 @@ class Truth:
 
     values: by name, (N, 3, 3) or (N, dim), SI, in the block's frame, NaN where not known;
     source: where it is from. A truth may know fewer blocks than an estimator has.
+
+    sigmas: of a truth that was measured itself, by name, (N, dim), SI: 1-sigma about each axis of
+    its tangent, of an attitude the right perturbation, in the body frame; independent from axis to
+    axis. Of what is not in it the truth is exact.
     """
 
     t: Array
     values: Mapping[str, Array]
     source: str = ""
+    sigmas: Mapping[str, Array] = field(default_factory=dict)
 
     def at(self, times: Array) -> tuple[Indices, NDArray[np.bool_]]:
         """Rows (M,) of the truth that are nearest to `times` (M,), s; and a mask (M,): which of

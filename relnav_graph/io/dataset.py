@@ -7,8 +7,8 @@
     <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s; of one that closes
                           loops, t_from_s, the time of the earlier epoch
     <input>.csv           t_start_s, t_end_s, the columns that its process declares
-    truth_<block>.csv     t_s, the columns of `component_columns`; optional
-    truth_<family>.csv    id, the columns of `component_columns`: of numbered blocks, such as points
+    truth_<block>.csv     t_s, the columns of `component_columns`; optional; maybe `sigma_columns`
+    truth_<family>.csv    id, the same columns: of numbered blocks, such as points
     dataset.toml          format, settings that the data bring, digests; optional
 
 Units are SI and stand in the names of the columns; one row is one observation, in order of time.
@@ -61,6 +61,7 @@ from relnav_graph.io.tabular import (
     Table,
     component_columns,
     read_table,
+    sigma_columns,
     to_components,
     write_table,
 )
@@ -289,7 +290,11 @@ def _truth_columns(block: Block, truth: Truth) -> Columns:
     known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
     components = to_components(block, values[known])
     names = component_columns(block)
-    return {"t_s": truth.t[known], **dict(zip(names, components.T, strict=True))}
+    columns = {"t_s": truth.t[known], **dict(zip(names, components.T, strict=True))}
+    if block.name in truth.sigmas:
+        own = truth.sigmas[block.name][known].T
+        columns |= dict(zip(sigma_columns(block), own, strict=True))
+    return columns
 
 
 def _tables(
@@ -327,7 +332,12 @@ def _tables(
         }
         if known:
             values = np.stack([truth.values[n][:1] for n in known], axis=1)  # at all times the same
-            rows = family_table(truth.t[:1], tuple(known.values()), values)
+            P = None
+            if any(n in truth.sigmas for n in known):
+                none = np.zeros((len(truth.t), block.dim))
+                sigma = np.stack([truth.sigmas.get(n, none)[:1] for n in known], axis=1)
+                P = sigma[..., None] ** 2 * np.eye(block.dim)
+            rows = family_table(truth.t[:1], tuple(known.values()), values, P)
             tables.append((f"truth_{family}", rows))
     names = [name for name, _ in tables]
     for name in names:

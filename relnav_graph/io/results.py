@@ -145,7 +145,21 @@ def _truth_group(truth: Truth, blocks: Mapping[str, Block]) -> Group:
             if len(values) and (values == values[:1]).all():
                 values, over = values[:1], "pass"
             variables |= family_variables(tuple(own.values()), values, over)
+    variables |= _sigma_variables(truth)
     return Group({"source": truth.source}, variables)
+
+
+#: How the name of the sigmas of a true block ends; they are (time, component), SI.
+_SIGMA = "_sigma"
+
+
+def _sigma_variables(truth: Truth) -> dict[str, Variable]:
+    """How good a truth is itself, where it says so."""
+    what: Attributes = {"long_name": "1-sigma of the truth itself, right perturbation, SI and rad"}
+    return {
+        f"{name}{_SIGMA}": Variable(("time", f"{name}_tangent"), sigma, what)
+        for name, sigma in truth.sigmas.items()
+    }
 
 
 def _add_track(
@@ -338,7 +352,10 @@ def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = Fal
 def _truth(where: str, group: Group) -> Truth:
     t = _values(where, group, "time", (-1,))
     values: dict[str, Array] = {}
+    sigmas: dict[str, Array] = {}
     for name, variable in group.variables.items():
+        if name.endswith(_SIGMA) and "manifold" not in variable.attributes:
+            sigmas[name.removesuffix(_SIGMA)] = _values(where, group, name, (len(t), -1))
         if "manifold" not in variable.attributes:
             continue  # the times, and the ids of a family
         block = block_of(where, name, variable)
@@ -350,7 +367,8 @@ def _truth(where: str, group: Group) -> Truth:
             own = block.numbered(i)
             known = _block_values(where, group, own, len(rows))
             values[own.name] = at_all_times(known[0], len(t)) if len(rows) == 1 else known
-    return Truth(t, values, check_json(where, _json(group.attributes), _StoredTruth).source)
+    source = check_json(where, _json(group.attributes), _StoredTruth).source
+    return Truth(t, values, source, sigmas)
 
 
 def read_results(

@@ -29,6 +29,7 @@ __all__ = [
     "component_columns",
     "from_components",
     "read_table",
+    "sigma_columns",
     "tangent_columns",
     "to_components",
     "write_table",
@@ -53,6 +54,11 @@ def component_columns(block: Block) -> tuple[str, ...]:
 def tangent_columns(block: Block) -> tuple[str, ...]:
     """Names of the columns of an error, or of sigmas: as :func:`component_columns` of a vector."""
     return component_columns(replace(block, manifold="vector"))
+
+
+def sigma_columns(block: Block) -> tuple[str, ...]:
+    """Names of the columns of sigmas beside those of the block itself, such as ``sigma_x_rad``."""
+    return tuple(f"sigma_{name}" for name in tangent_columns(block))
 
 
 def to_components(block: Block, values: Array) -> Array:
@@ -99,6 +105,17 @@ class Table:
                 f"{self.path}, line {self.lines[rows[0]]}, column {column}: found {found!s},"
                 f" expected {expected}{more}"
             )
+
+    def sigmas(self, block: Block) -> Array | None:
+        """The columns of sigmas (rows, dim) of a block, SI; None without any. Raises InputError
+        where some are missing or below zero."""
+        columns = sigma_columns(block)
+        if not any(c in self.columns for c in columns):
+            return None
+        self.require(columns, tuple(self.columns))
+        for name in columns:
+            self.refuse(~(self[name] >= 0), name, "a sigma of zero or more")
+        return self.stack(columns)
 
     def require(self, columns: Sequence[str], optional: Sequence[str] = ()) -> None:
         """Raise InputError unless the table has just these columns."""

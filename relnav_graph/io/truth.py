@@ -12,7 +12,13 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.state import UNIT_QUATERNION, Block, Layout
 from relnav_graph.core.track import Truth, at_all_times
-from relnav_graph.io.tabular import Table, component_columns, from_components, read_table
+from relnav_graph.io.tabular import (
+    Table,
+    component_columns,
+    from_components,
+    read_table,
+    sigma_columns,
+)
 
 __all__ = ["between", "read_truth"]
 
@@ -74,11 +80,11 @@ def _table(folder: Path, block: Block, constant: bool) -> Table | None:
     table = read_table(folder, f"truth_{block.name}")
     if table is None:
         return None
-    columns = component_columns(block)
+    columns, sigmas = component_columns(block), sigma_columns(block)
     if constant and len(table.lines) == 1 and "t_s" not in table.columns:
-        table.require(columns)
+        table.require(columns, sigmas)
     else:
-        table.require(("t_s", *columns))
+        table.require(("t_s", *columns), sigmas)
         table.increasing("t_s")
     if block.manifold == "SO3":
         norm = np.linalg.norm(table.stack(columns), axis=1)
@@ -138,7 +144,8 @@ def read_truth(
 
     source: where it is from; statics: names of static blocks, which are known at all times where
     all rows of their table are the same; one row needs no time; numbered: families of numbered
-    blocks, whose table has a row for each, by its id. None without any table. Raises
+    blocks, whose table has a row for each, by its id. Columns of sigmas (`sigma_columns`), all or
+    none, say how good the truth itself is. None without any table. Raises
     InputError, naming file, line and column, on a table with other columns, times that do not
     increase, or a quaternion whose length is not one within 1e-3; it is normalised.
     """
@@ -149,10 +156,12 @@ def read_truth(
             known = from_components(block, table.stack(component_columns(block)))
             found[name] = table, known
     maps: dict[str, Array] = {}
+    sigmas: dict[str, Array] = {}
     for name, block in (numbered or {}).items():
         table = read_table(folder, f"truth_{name}")
         if table is not None:
-            maps |= _members(table, block)
+            points, their_sigmas = _members(table, block)
+            maps, sigmas = maps | points, sigmas | their_sigmas
     if not found and not maps:
         return None
     timed = [table["t_s"] for table, _ in found.values() if "t_s" in table.columns]
@@ -162,6 +171,9 @@ def read_truth(
     at, _ = Truth(times, {}).at(epochs)
     values = {}
     for name, (table, known) in found.items():
+        sigma = table.sigmas(blocks[name])
+        if sigma is not None:
+            sigmas[name] = _sigmas_at(table, sigma, times)
         if name in statics and len(known) and (known == known[0]).all():
             values[name] = at_all_times(known[0], len(times))
             continue
@@ -169,17 +181,27 @@ def read_truth(
         values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs)
         values[name][np.searchsorted(times, table["t_s"])] = known
     values |= {name: at_all_times(X, len(times)) for name, X in maps.items()}
-    return Truth(times, values, source)
+    tiled = {n: S if S.ndim > 1 else at_all_times(S, len(times)) for n, S in sigmas.items()}
+    return Truth(times, values, source, tiled)
 
 
-def _members(table: Table, block: Block) -> dict[str, Array]:
-    """True values (dim,) of numbered blocks, by name."""
+def _sigmas_at(table: Table, sigma: Array, times: Array) -> Array:
+    """Sigmas (M, dim) at `times` (M,), s, of those of the rows (rows, dim), linear in between."""
+    if "t_s" not in table.columns or not len(sigma):
+        return np.tile(sigma[:1], (len(times), 1))
+    return np.column_stack([np.interp(times, table["t_s"], one) for one in sigma.T])
+
+
+def _members(table: Table, block: Block) -> tuple[dict[str, Array], dict[str, Array]]:
+    """True values (dim,) of numbered blocks, and their sigmas (dim,) where given, by name."""
     columns = component_columns(block)
-    table.require(("id", *columns))
+    table.require(("id", *columns), sigma_columns(block))
     ids = table["id"]
     whole = (ids >= 0) & (ids < 2.0**53) & (ids == np.rint(ids))
     table.refuse(~whole, "id", "a number of a block, 0 or more, below 2^53")
     first = np.unique(ids, return_index=True)[1]
     table.refuse(~np.isin(np.arange(len(ids)), first), "id", "each number once")
-    rows = table.stack(columns)
-    return {block.numbered(int(i)).name: X for i, X in zip(ids, rows, strict=True)}
+    names = [block.numbered(int(i)).name for i in ids]
+    sigma = table.sigmas(block)
+    rows = dict(zip(names, table.stack(columns), strict=True))
+    return rows, {} if sigma is None else dict(zip(names, sigma, strict=True))

@@ -255,8 +255,8 @@ def propagate(
 
     ``x_next = f(x)``, ``F = d x_next / d x`` between tangents, Q the covariance of the process
     noise, n of the blocks that move; a Q without rows is not wanted. What belongs to static blocks
-    in x_next, and in further rows of F, is left as it is. Returns the number and status of the process that failed; -1, 0 when
-    none did.
+    in x_next, and in further rows of F, is left as it is. Returns the number and status of the
+    process that failed; -1, 0 when none did.
     """
     intervals, places, numbers = tables.intervals, tables.places, tables.numbers
     for a in range(tables.processes.shape[0]):

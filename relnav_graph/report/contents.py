@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.files import read_file
@@ -198,10 +197,11 @@ def _read_pass(path: Path, trust: bool) -> PassContents:
         manifest.seed if manifest.simulated else None,
         tracks,
         truth,
-        derived_quantities(scenario.layout),
+        scenario.derived,
         scenario.window(tracks[0].t),
         len(tracks[0].t),
         cautions_in(f"{path / 'results.nc'}, cautions", attributes.get("cautions", "[]")),
+        scenario.scored,
     )
     where, text = f"{path / 'results.nc'}, times_seen", attributes.get("times_seen", "{}")
     seen = check_json(where, text.encode(), dict[str, Count])

@@ -12,7 +12,6 @@ import jinja2
 from matplotlib.figure import Figure
 
 from relnav_graph.constants import VERSION
-from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError
 from relnav_graph.figures import error_figures, map_figure, trajectory_figure
 from relnav_graph.io.atomic import atomic
@@ -22,6 +21,7 @@ from relnav_graph.report.embed import encode, image
 from relnav_graph.report.figures import RunFigures, plain
 from relnav_graph.report.scene import Scene, make_scene
 from relnav_graph.report.zoom import zoomable
+from relnav_graph.scoring.text import consistency_lines
 
 __all__ = ["MAX_BYTES", "Gallery", "render", "write_report"]
 
@@ -145,7 +145,7 @@ def _over_runs(study: StudyContents, gallery: Gallery) -> dict[str, list[Shown]]
 
 def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
     """The scene of a pass, and its figures."""
-    derived = derived_quantities(content.scenario.layout)
+    derived = content.scenario.derived
     shown: dict[str, Any] = {"scene": None, "path": None, "map": None, "errors": []}
     scene = make_scene(content)
     if scene is not None:
@@ -261,6 +261,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "overview": cells.overview(summary),
         "cautions": cells.cautions(summary),
         "results": cells.results(summary),
+        "consistency": consistency_lines(summary),
         "constants": cells.constants(summary),
         "aligned": cells.aligned(summary),
         "command": content.command,

@@ -297,7 +297,7 @@ class _Search:
             cost, _ = self.at(lags)
             g, H = self._parabola(lags, h)
             curved = bool(np.linalg.eigvalsh(H)[0] > 0)
-            P = np.linalg.inv(H) if curved else np.diag(np.full(len(lags), np.inf))
+            P = np.array(np.linalg.inv(H)) if curved else np.diag(np.full(len(lags), np.inf))
             near = min(self._made, key=lambda key: self._made[key][0])
             step = -P @ g if curved else np.array(near) - lags
             step = np.clip(step, -4 * h, 4 * h)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Recording, Track, Truth
 from relnav_graph.estimators import find_estimator, try_estimator
@@ -97,10 +96,11 @@ def compare_pass(
         opened.seed if opened.simulated else None,
         tracks,
         opened.recording.truth,
-        derived_quantities(opened.scenario.layout),
+        opened.scenario.derived,
         opened.scenario.window(times),
         len(times),
         each[0][0].problem.cautions,
+        opened.scenario.scored,
     )
     problems, truths = tuple(o.problem for o, _ in each), tuple(o.truth for o, _ in each)
     return Comparison(tracks, problems, truths, found)

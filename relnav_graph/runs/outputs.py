@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.numbered import times_seen
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
@@ -69,7 +68,7 @@ def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "")
         trajectory_figure,
     )
 
-    derived = derived_quantities(opened.scenario.layout)
+    derived = opened.scenario.derived
     figures = error_figures(found.tracks, opened.recording.truth, derived)
     path = trajectory_figure(found.tracks, opened.recording.truth, derived)
     if path is not None:

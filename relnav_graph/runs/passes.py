@@ -57,6 +57,7 @@ def simulated_pass(scenario: Scenario, seed: int, run: int = 0, loops: bool = Tr
     loops; else it is simulated without control. Raises
     InputError on a scenario that is not for simulation.
     """
+    scenario.refuse_noise()
     if loops and scenario.control is not None:
         return Pass(scenario, Recording(scenario.times, ()), seed, True, run, True)
     return Pass(scenario, scenario.simulate(seed, run), seed, True, run)
@@ -144,7 +145,7 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     if found.truth is None:
         return found
     truth = with_true_copies(found.truth, scenario.sensors)
-    return replace(found, truth=scenario.with_map(truth))
+    return replace(found, truth=scenario.with_noise(scenario.with_map(truth)))
 
 
 def _need_folder(folder: Path) -> None:

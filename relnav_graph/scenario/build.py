@@ -17,6 +17,7 @@ from relnav_graph.core.copies import with_copiers
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.numbered import families
 from relnav_graph.core.problem import check_orbits, layout_of
+from relnav_graph.core.scored import Scored
 from relnav_graph.core.state import Layout
 from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import InputError, ModelError
@@ -26,7 +27,7 @@ from relnav_graph.memory import check_room
 from relnav_graph.scenario.closures import at_keyframes, copy_priors
 from relnav_graph.scenario.gaps import check_stamps, make_bridges
 from relnav_graph.scenario.priors import check_prior, true_statics
-from relnav_graph.scenario.scenario import Scenario, freed
+from relnav_graph.scenario.scenario import NO_NOISE, Scenario, freed
 from relnav_graph.scenario.schema import (
     BESIDE_TRUTH,
     MISSING,
@@ -38,6 +39,7 @@ from relnav_graph.scenario.schema import (
     named_mount,
     shared_orbit,
 )
+from relnav_graph.scenario.scores import make_scored, make_truth_noise
 from relnav_graph.scenario.settings import SensorOptions, besides
 from relnav_graph.scenario.toml import merge, override, read_toml, refuse_modules, strange_values
 from relnav_graph.scenario.true_map import true_map
@@ -231,6 +233,7 @@ def make_scenario(
         _check_names(file, made["processes"], problems)
     layout, every = None, Layout(())  # with all mountings in the state
     bridges, statics, points = dict[str, Bridge](), dict[str, Array](), None
+    scored, noise = Scored(), dict[str, Array]()
     if all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
@@ -256,6 +259,10 @@ def make_scenario(
             check_prior(layout, file, problems, numbered, every)
             statics = true_statics(every, told.get("statics", {}), problems)
             points = true_map(told.get("map"), sensors, settings, file.simulated, problems)
+            scored = make_scored(file.score, layout, numbered, problems)
+            noise = make_truth_noise(file.truth_noise, layout, numbered, problems)
+            if noise and settings is None and "data" not in raw:
+                problems.append(("truth_noise", NO_NOISE))
         _check_inputs(made["processes"], file, inputs, problems)
         bridges = make_bridges(file, made["processes"], problems)
         check_stamps(file, made["processes"], problems)
@@ -271,6 +278,8 @@ def make_scenario(
         *(name, file, merged, made["processes"], made["sensors"], options),
         *(truth, inputs, layout, control, bridges, statics),
         map=points,
+        scored=scored,
+        truth_noise=noise,
     )
 
 

@@ -11,12 +11,14 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution, orbit_cautions
-from relnav_graph.core.contracts import CopiesBlocks, Dynamics, Mountable, Sensor
+from relnav_graph.core.contracts import CopiesBlocks, Derived, Dynamics, Mountable, Sensor
 from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
 from relnav_graph.core.epochs import Epoch, epoch_times, make_epochs
 from relnav_graph.core.measurement import SAME_TIME, Bridge, Stamps
+from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.numbered import families, first_seen, number_in
 from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.scored import Scored
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
@@ -38,6 +40,9 @@ __all__ = [
     "freed",
 ]
 
+#: Why a simulated pass takes no truth noise.
+NO_NOISE = "found one, but the truth is exact where all sensors are simulated on it"
+
 _LOG = logging.getLogger(__name__)
 
 
@@ -52,7 +57,8 @@ class Scenario:
 
     statics: true values of static blocks that the truth does not give itself, (3, 3) or (dim,), SI.
     Of a mounting that the estimators take for known, too, so that it can be another one. map: the
-    true points that no sensor knows.
+    true points that no sensor knows. scored: how tracks are compared with the truth. truth_noise:
+    sigmas (dim,), SI, of a recorded truth, by block, family or derived quantity.
     """
 
     name: str
@@ -68,6 +74,13 @@ class Scenario:
     bridges: Mapping[str, Bridge] = field(default_factory=dict)
     statics: Mapping[str, Array] = field(default_factory=dict)
     map: TrueMap | None = None
+    scored: Scored = field(default_factory=Scored)
+    truth_noise: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def derived(self) -> list[Derived]:
+        """What is scored beside the blocks of the state, or in the place of one."""
+        return [*derived_quantities(self.layout), *self.scored.in_axes]
 
     @property
     def numbered_priors(self) -> dict[str, Prior]:
@@ -174,6 +187,18 @@ class Scenario:
             return truth
         return with_statics(truth, self.map.values)
 
+    def with_noise(self, truth: Truth) -> Truth:
+        """A recorded truth with the sigmas that the scenario says; they win over those of data."""
+        derived, sigmas = {q.block.name for q in self.derived}, dict(truth.sigmas)
+        for name, sigma in self.truth_noise.items():
+            own = [n for n in truth.values if name in (n, number_in(n)[0])]
+            sigmas |= dict.fromkeys(own or ([name] if name in derived else []), sigma)
+            if not own and name not in derived:
+                _LOG.warning(f"truth_noise.{name}: the truth does not know {name}")
+        count = len(truth.t)
+        tiled = {n: s if s.ndim > 1 else np.tile(s, (count, 1)) for n, s in sigmas.items()}
+        return replace(truth, sigmas=tiled)
+
     def simulate(self, seed: int, run: int = 0) -> Recording:
         """A simulated pass, without any control. Raises InputError when the scenario is not
         for simulation."""
@@ -181,10 +206,16 @@ class Scenario:
             raise InputError(
                 f"{self.name}: no [truth] and [time] to simulate from; give recorded data"
             )
+        self.refuse_noise()
         models, timings = (self.processes, self.true_sensors), (self.timings, self.times)
         found = simulate(self.truth, self.inputs, *models, *timings, seed, run, self.statics)
         found = replace(found, truth=found.truth and self._scored(found.truth))
         return found.with_lags(self.stamps)
+
+    def refuse_noise(self) -> None:
+        """Raise InputError where a noise is said of a truth that is exact: of a simulated pass."""
+        if self.truth_noise:
+            raise InputError(f"{self.name}: truth_noise: {NO_NOISE}")
 
     def _scored(self, truth: Truth) -> Truth:
         """What of a truth is of this state, and the map."""
@@ -200,12 +231,14 @@ class Scenario:
         truth = recording.truth
         if truth is not None:
             truth = with_true_copies(with_statics(truth, self.statics), self.sensors)
-            recording = replace(recording, truth=self._scored(truth))
+            recording = replace(recording, truth=self.with_noise(self._scored(truth)))
         names = self.file.data.simulate if self.file.data is not None else []
         if not names:
             return recording
         if truth is None:
             raise InputError(f"data.simulate: found {names}, but the recording has no truth")
+        if len(names) == len(self.sensors):
+            self.refuse_noise()
         sensors = {name: self.true_sensors[name] for name in names}
         made = measure_all(sensors, self.timings, truth, seed, run)
         return replace(recording, measurements=(*recording.measurements, *made))

@@ -13,9 +13,9 @@ from typing import Any
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from relnav_graph.core import models
-from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.errors import InputError, ModelError
-from relnav_graph.registry import classes, find_class, provides
+from relnav_graph.registry import find_class
+from relnav_graph.scenario.scores import ScoreSettings
 from relnav_graph.scenario.settings import (
     STRICT,
     BlockPrior,
@@ -23,14 +23,11 @@ from relnav_graph.scenario.settings import (
     DataSettings,
     GapSettings,
     OnlineSettings,
-    SensorOptions,
     StampSettings,
     TimeSettings,
 )
-from relnav_graph.sim.contracts import GROUP as TRUTHS
-from relnav_graph.sim.contracts import Instrument
 
-__all__ = ["ScenarioError", "ScenarioFile", "json_schema"]
+__all__ = ["ScenarioError", "ScenarioFile"]
 
 Problems = list[tuple[str, str]]
 
@@ -71,6 +68,11 @@ class ScenarioFile(BaseModel):
     With mounting = "known", the blocks that "estimated" would have: the sensor is simulated with
     them, and the estimators know nothing of it.
 
+    truth_noise: of recorded data, whose truth was measured itself: 1-sigma of its blocks, of
+    attitudes about the axes of the body, and of derived quantities that it gives, for all axes or
+    one each. NEES and what follows from it counts it; columns of sigmas in the truth's tables say
+    the same. The truth of a simulated pass is exact.
+
     truth.map: the true points, by id, of sensors with points = "unknown": `points` and maybe
     `normals` of each, or a generated one, { count = 50, box = ["1 m", "1 m", "0.6 m"], seed = 1 }:
     drawn uniformly on the surface of that cuboid about the centre of mass, with its normals. For
@@ -95,6 +97,8 @@ class ScenarioFile(BaseModel):
     online: OnlineSettings = OnlineSettings()
     orbit: dict[str, Any] | None = None
     truth: dict[str, Any] | None = None
+    truth_noise: dict[str, Any] = {}
+    score: ScoreSettings = ScoreSettings()
     control: dict[str, Any] | None = None
     inputs: dict[str, dict[str, Any]] = {}
     gaps: dict[str, GapSettings] = {}
@@ -205,29 +209,3 @@ def named_mount(table: Mapping[str, Any], name: str) -> dict[str, Any]:
     }:
         return dict(table)
     return {"mount": name, **table}
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of scenario files, for editors."""
-    schema = ScenarioFile.model_json_schema()
-    own_options = SensorOptions.model_json_schema()
-    schema["$defs"] |= own_options.pop("$defs", {})
-    options = own_options["properties"]
-    for section, group, contract, general in (
-        ("processes", models.ENTRY_POINTS, Dynamics, {}),
-        ("sensors", models.ENTRY_POINTS, Sensor, options),
-        ("inputs", TRUTHS, Instrument, {}),
-    ):
-        choices = []
-        for kind, cls in classes(group).items():
-            if provides(cls, contract):
-                choice = TypeAdapter(cls).json_schema()
-                schema["$defs"] |= choice.pop("$defs", {})
-                own = choice.get("properties", {})
-                choice["properties"] = {"kind": {"const": kind}, **general, **own}
-                # The scenario's [orbit] serves all models that ask for one.
-                required = [n for n in choice.get("required", []) if n != "orbit"]
-                choice["required"] = ["kind", *required]
-                choices.append(choice)
-        schema["properties"][section]["additionalProperties"] = {"anyOf": choices}
-    return schema

@@ -17,9 +17,18 @@ from scipy.special import chdtri
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Ambiguous, Derived
 from relnav_graph.core.models import DerivedQuantity
+from relnav_graph.core.scored import InAxes
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.scoring.truth_noise import (
+    Linear,
+    TruthNoise,
+    joint_noise,
+    noise_of,
+    of_error,
+    stacked,
+)
 
 __all__ = [
     "StateErrors",
@@ -48,7 +57,8 @@ class StateEstimates:
     is a static block, or derived of such alone.
 
     members: of a family of numbered blocks, whose values stand one after the other, (N, k dim);
-    nearest: where several values say the same, see `relnav_graph.core.contracts.Ambiguous`.
+    nearest: where several values say the same, see `relnav_graph.core.contracts.Ambiguous`;
+    of: where it takes the place of a block of the state, how it depends on the track's blocks.
     """
 
     block: Block
@@ -57,6 +67,7 @@ class StateEstimates:
     constant: bool = False
     members: tuple[Block, ...] = ()
     nearest: Callable[[Array, Array], Array] | None = None
+    of: Linear | None = None
 
     def to(self, other: Array, rows: NDArray[np.bool_] | slice = slice(None)) -> Array:
         """Tangent vectors (M, dim) from M of these values to others (M, 3, 3) or (M, dim)."""
@@ -67,17 +78,26 @@ class StateEstimates:
 @dataclass(frozen=True, eq=False)
 class StateErrors:
     """One state where truth knows it: t (N,) s, e (N, dim) and P (N, dim, dim), SI; members: of a
-    family of numbered blocks, the errors of which stand one after the other."""
+    family of numbered blocks, the errors of which stand one after the other; of: see
+    `StateEstimates`; noise: of the truth itself, where it has any."""
 
     block: Block
     t: Array
     e: Array
     P: Array
     members: tuple[Block, ...] = ()
+    of: Linear | None = None
+    noise: TruthNoise | None = None
 
     def where(self, mask: NDArray[np.bool_]) -> StateErrors:
         """The epochs of a mask (N,)."""
-        return replace(self, t=self.t[mask], e=self.e[mask], P=self.P[mask])
+        of, noise = self.of and self.of.where(mask), self.noise and self.noise.where(mask)
+        return replace(self, t=self.t[mask], e=self.e[mask], P=self.P[mask], of=of, noise=noise)
+
+    @property
+    def S(self) -> Array:
+        """P + T (N, dim, dim), SI: the covariance of e, with that of the truth."""
+        return self.P if self.noise is None else self.P + self.noise.T
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -129,11 +149,17 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
     }
     for quantity in derived:
         # The blocks, not only their names: a position in another frame is another block.
-        if quantity.block.name in own or not set(quantity.reads) <= set(own.values()):
+        instead = isinstance(quantity, InAxes)
+        known = set(quantity.reads) <= set(own.values())
+        if (quantity.block.name in own and not instead) or not known:
             continue
         names = [b.name for b in quantity.reads]
         value, jacobian = _evaluate(quantity, [track.value(n) for n in names])
         P = jacobian @ track.covariance(*names) @ jacobian.transpose(0, 2, 1)
+        if instead:
+            of = Linear(tuple(quantity.reads), jacobian)
+            found[quantity.block.name] = StateEstimates(quantity.block, value, P, of=of)
+            continue
         constant = moving.isdisjoint(quantity.reads)
         twins = quantity.nearest if isinstance(quantity, Ambiguous) else None
         found[quantity.block.name] = StateEstimates(
@@ -147,21 +173,43 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
     return found
 
 
-def _truth_at(t: Array, truth: Truth, derived: Sequence[Derived]) -> dict[str, Array]:
-    """True values at times t (N,), s, by name. Raises InputError on a time that truth lacks."""
+@dataclass(frozen=True, eq=False)
+class _True:
+    """True values at the epochs of a track, and what of them is noise."""
+
+    value: Array
+    noise: TruthNoise | None
+
+
+def _truth_at(
+    t: Array, truth: Truth, derived: Sequence[Derived], own: Mapping[str, Block]
+) -> dict[str, _True]:
+    """Truth at times t (N,), s, by name; own: blocks of what it may know, by name.
+
+    Raises InputError on a time that truth lacks.
+    """
     rows, known = truth.at(t)
     if not known.all():
         raise InputError(f"truth {truth.source!r}: no epoch at {t[~known][0]} s")
-    values = {}
+    values, found = {}, {}
     for name, value in truth.values.items():
         if len(value) != len(truth.t):
             raise InputError(f"truth of {name!r}: {len(value)} values at {len(truth.t)} times")
         values[name] = np.ascontiguousarray(value[rows], dtype=np.float64)
+        block = own.get(name)
+        one = np.tile(np.eye(block.dim), (len(t), 1, 1)) if block else np.zeros(0)
+        noise = noise_of([block], one, truth.sigmas, rows) if block else None
+        found[name] = _True(values[name], noise)
     for quantity in derived:
-        names = [b.name for b in quantity.reads]
-        if quantity.block.name not in values and all(n in truth.values for n in names):
-            values[quantity.block.name] = _evaluate(quantity, [values[n] for n in names])[0]
-    return values
+        name, names = quantity.block.name, [b.name for b in quantity.reads]
+        new = name not in values or isinstance(quantity, InAxes)
+        if new and all(n in values for n in names):
+            value, J = _evaluate(quantity, [values[n] for n in names])
+            reads: Sequence[Block] = quantity.reads
+            if name in truth.sigmas and not isinstance(quantity, InAxes):  # said of itself
+                reads, J = [quantity.block], np.tile(np.eye(quantity.block.dim), (len(t), 1, 1))
+            found[name] = _True(value, noise_of(reads, J, truth.sigmas, rows))
+    return found
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -169,17 +217,25 @@ def deviations(
     states: Mapping[str, StateEstimates], t: Array, truth: Truth, derived: Sequence[Derived]
 ) -> dict[str, StateErrors]:
     """:func:`errors` of estimates already at hand, at times t (N,), s."""
-    known = _truth_at(t, truth, derived)
+    known = _truth_at(t, truth, derived, {name: state.block for name, state in states.items()})
     found = {}
     for name, state in states.items():
         if name not in known:
             continue
-        true, block = known[name], state.block
+        true, block = known[name].value, state.block
         if true.shape != state.value.shape:
             raise InputError(f"truth of {name!r}: {true.shape}, expected {state.value.shape}")
         keep = finite(true)
-        e = state.to(true[keep], keep)
-        found[name] = StateErrors(block, t[keep], e, state.P[keep])
+        e, noise = state.to(true[keep], keep), known[name].noise
+        of, turned = state.of, None
+        if noise is not None:
+            if state.nearest is not None and block.manifold == "SO3":
+                meant = state.nearest(true[keep], state.value[keep])
+                turned = np.swapaxes(true[keep], 1, 2) @ meant
+            noise = of_error(noise.where(keep), block, e, turned)
+        found[name] = StateErrors(
+            block, t[keep], e, state.P[keep], of=of and of.where(keep), noise=noise
+        )
     return found
 
 
@@ -193,19 +249,35 @@ def errors(track: Track, truth: Truth, derived: Sequence[Derived]) -> dict[str, 
     return deviations(estimates(track, derived), track.t, truth, derived)
 
 
-def joint(found: Iterable[StateErrors], track: Track, layout: Layout) -> tuple[Array, Array]:
+def joint(
+    found: Iterable[StateErrors], track: Track, layout: Layout, truth_noise: bool = True
+) -> tuple[Array, Array]:
     """Errors (M, n) and joint covariance (M, n, n) of those blocks of a layout that truth knows.
 
-    layout: of the track's epochs, or of its statics. SI, in tangent coordinates; of the M epochs
-    at which truth knows all of them.
+    layout: of the track's epochs, or of its statics; truth_noise: whether the covariance of the
+    truth is counted. SI, in tangent coordinates; of the M epochs at which truth knows all of them.
     """
     states = [s for s in found if all(b.name in layout for b in s.blocks)]
     if not states:
         return np.zeros((0, 1)), np.zeros((0, 1, 1))
     common = reduce(np.intersect1d, [s.t for s in states])
-    e = np.hstack([s.e[np.isin(s.t, common)] for s in states])
-    names = [b.name for s in states for b in s.blocks]
-    return e, track.at(np.isin(track.t, common)).covariance(*names)
+    states = [s.where(np.isin(s.t, common)) for s in states]
+    e, names = np.hstack([s.e for s in states]), [b.name for s in states for b in s.blocks]
+    epochs = track.at(np.isin(track.t, common))
+    if any(s.of is not None for s in states):
+        parts = [s.of or _themselves(s) for s in states]
+        names = list(dict.fromkeys(b.name for part in parts for b in part.blocks))
+        J = stacked(parts, names)
+        P = J @ epochs.covariance(*names) @ J.transpose(0, 2, 1)
+    else:
+        P = epochs.covariance(*names)
+    if truth_noise and any(s.noise is not None for s in states):
+        P = P + joint_noise([s.noise for s in states], [s.e.shape[1] for s in states], len(e))
+    return e, P
+
+
+def _themselves(s: StateErrors) -> Linear:
+    return Linear(s.blocks, np.tile(np.eye(s.e.shape[1]), (len(s.e), 1, 1)))
 
 
 def at_the_end(constants: Mapping[str, StateErrors]) -> dict[str, StateErrors]:

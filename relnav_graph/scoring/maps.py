@@ -19,6 +19,7 @@ from relnav_graph.core.numbered import members, unnumbered
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.scoring.deviations import StateErrors, StateEstimates, finite
+from relnav_graph.scoring.truth_noise import noise_of
 
 __all__ = ["CENTRE_OF_MASS", "MAP_SCALE", "family", "family_scores", "known_points"]
 
@@ -81,15 +82,19 @@ def family_scores(
     for blocks in members(track.mapped).values():
         states |= _with_derived(family(track, blocks))
         known = _known(track.t, blocks, truth)
-        if not known:
+        if not known or truth is None:
             continue
         own = family(track, tuple(known))
         true = np.hstack(list(known.values()))
-        values = {own.block: true} | {b: v for b, (v, _) in _derived(own.block, true).items()}
+        itself = np.tile(np.eye(true.shape[1]), (len(true), 1, 1))
+        values = {own.block: (true, itself)} | _derived(own.block, true)
+        rows, _ = truth.at(track.t)
         for name, state in _with_derived(own).items():
             if state.block in values:
-                e = state.to(values[state.block])
-                errors[name] = StateErrors(state.block, track.t, e, state.P, state.members)
+                value, J = values[state.block]
+                noise = noise_of(own.members, J, truth.sigmas, rows)
+                e, P = state.to(value), state.P
+                errors[name] = StateErrors(state.block, track.t, e, P, state.members, noise=noise)
     return states, errors
 
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -19,17 +18,16 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.contracts import Derived
+from relnav_graph.core.scored import AS_USUAL, Scored
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Kind, Track, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.scoring.agreement import distances, row_cautions
 from relnav_graph.scoring.alignment import aligned
 from relnav_graph.scoring.deviations import (
-    Band,
     StateErrors,
     StateEstimates,
     at_the_end,
-    chi2_band,
     deviations,
     errors,
     estimates,
@@ -38,6 +36,7 @@ from relnav_graph.scoring.deviations import (
     mean_nees,
 )
 from relnav_graph.scoring.maps import family_scores
+from relnav_graph.scoring.scores import Score, StateScore
 from relnav_graph.scoring.text import table
 
 __all__ = [
@@ -57,63 +56,8 @@ __all__ = [
     "with_smoothed",
 ]
 
-
-@dataclass(frozen=True, eq=False)
-class StateScore:
-    """Scores of one state in table units; None where the track holds no finite number.
-
-    rmse: sqrt(mean |e|^2), a norm over the axes; rmse_last: the same at the last epoch;
-    sigma: sqrt(mean trace P); anees: mean NEES / rank; freedoms: the rank, degrees of freedom
-    of one run; inside_1sigma to 3: fraction of the components within so many sigma; t (M,):
-    epochs compared, s, empty where truth knows none (then only unit and sigma are set).
-    """
-
-    unit: str
-    sigma: float | None
-    t: Array = field(default_factory=lambda: np.zeros(0))
-    rmse: float | None = None
-    rmse_last: float | None = None
-    anees: float | None = None
-    freedoms: int = 0
-    inside_1sigma: float | None = None
-    inside_2sigma: float | None = None
-    inside_3sigma: float | None = None
-    count: int | None = None
-
-    @property
-    def anees_band(self) -> Band | None:
-        """95 % band of one run; its epochs are correlated, so they do not narrow it."""
-        return None if self.anees is None else chi2_band(self.freedoms)
-
-
-@dataclass(frozen=True, eq=False)
-class Score:
-    """Scores of a track.
-
-    states: of all blocks and derived quantities over the pass, but for numbered blocks; anees: of
-    all blocks of the epochs that truth knows, jointly; statics: of the static blocks, of families
-    of numbered ones, and of what is derived of them alone, at the last epoch, which for a smoothed
-    track is every epoch; statics_anees: of all static blocks that truth knows, jointly.
-    """
-
-    name: str
-    kind: Kind
-    states: Mapping[str, StateScore]
-    anees: float | None = None
-    freedoms: int = 0
-    statics: Mapping[str, StateScore] = field(default_factory=dict)
-    statics_anees: float | None = None
-    statics_freedoms: int = 0
-
-    @property
-    def anees_band(self) -> Band | None:
-        """95 % band of one run."""
-        return None if self.anees is None else chi2_band(self.freedoms)
-
-    @property
-    def statics_anees_band(self) -> Band | None:
-        """95 % band of one run."""
-        return None if self.statics_anees is None else chi2_band(self.statics_freedoms)
+#: The key of an ANEES as if the truth were exact, where it is not.
+EXACT = "anees_without_truth_noise"
 
 
 def _number(value: Any) -> float | None:
@@ -128,10 +72,11 @@ def _sigma(block: Block, P: Array, count: int) -> float | None:
 def _state_score(s: StateErrors) -> StateScore:
     scale = s.block.table_scale
     squared = (s.e**2).sum(axis=1) / len(s.blocks)
-    known = finite(s.e, s.P).all()
-    size, sigma = np.abs(s.e), np.sqrt(np.diagonal(s.P, axis1=1, axis2=2))
+    S = s.S
+    known = finite(s.e, S).all()
+    size, sigma = np.abs(s.e), np.sqrt(np.diagonal(S, axis1=1, axis2=2))
     inside = [_number((size <= m * sigma).mean()) if known else None for m in (1, 2, 3)]
-    anees, freedoms = mean_nees(s.e, s.P)
+    anees, freedoms = mean_nees(s.e, S)
     return StateScore(
         unit=s.block.table_unit,
         sigma=_sigma(s.block, s.P, len(s.blocks)),
@@ -144,6 +89,7 @@ def _state_score(s: StateErrors) -> StateScore:
         inside_2sigma=inside[1],
         inside_3sigma=inside[2],
         count=len(s.members) or None,
+        anees_without_truth_noise=None if s.noise is None else mean_nees(s.e, s.P)[0],
     )
 
 
@@ -165,6 +111,7 @@ def score(
     truth: Truth | None,
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None = None,
+    without: Collection[str] = (),
 ) -> Score:
     """Scores of a track over the part `evaluate` (fractions) of its pass.
 
@@ -173,7 +120,7 @@ def score(
     """
     states = estimates(track, derived)
     found = {} if truth is None else deviations(states, track.t, truth, derived)
-    return score_of(track, states, found, evaluate, truth)
+    return score_of(track, states, found, evaluate, truth, without)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # diverged tracks: None in the end
@@ -183,16 +130,18 @@ def score_of(
     found: Mapping[str, StateErrors],
     evaluate: tuple[float, float] | None = None,
     truth: Truth | None = None,
+    without: Collection[str] = (),
 ) -> Score:
     """:func:`score`, of a track's estimates and errors that are at hand already; truth: of the
-    numbered blocks."""
+    numbered blocks; without: names of blocks, see `Score.anees_without`."""
     inside = window_of(track.t, evaluate)
     found = {name: s.where(np.isin(s.t, track.t[inside])) for name, s in found.items()}
     found = {name: s for name, s in found.items() if len(s.t)}
     scores = _scores(states, found, inside)
     anees = mean_nees(*joint(found.values(), track, track.layout))
+    also = _other_anees(found, track, without)
     if track.statics is None:
-        return Score(track.name, track.kind, scores, *anees)
+        return Score(track.name, track.kind, scores, *anees, **also)
     constants = {name: state for name, state in states.items() if state.constant}
     ends = at_the_end({name: s for name, s in found.items() if name in constants})
     last = np.arange(len(track.t)) == np.flatnonzero(inside)[-1]
@@ -202,7 +151,22 @@ def score_of(
     families, off = family_scores(end, truth)
     static |= _scores(families, off, np.ones(1, dtype=np.bool_))
     of_statics = mean_nees(*joint([*ends.values(), *off.values()], end, track.statics.layout))
-    return Score(track.name, track.kind, scores, *anees, static, *of_statics)
+    return Score(track.name, track.kind, scores, *anees, static, *of_statics, **also)
+
+
+def _other_anees(
+    found: Mapping[str, StateErrors], track: Track, without: Collection[str]
+) -> dict[str, Any]:
+    """Joint ANEES beside the one that counts all blocks and the truth's covariance."""
+    out: dict[str, Any] = {}
+    if any(s.noise is not None for s in found.values()):
+        exact = mean_nees(*joint(found.values(), track, track.layout, truth_noise=False))
+        out["anees_without_truth_noise"] = exact[0]
+    if without:
+        kept = [s for name, s in found.items() if name not in without]
+        both = mean_nees(*joint(kept, track, track.layout))
+        out |= dict(zip(("anees_without", "freedoms_without"), both, strict=True))
+    return out
 
 
 def _scores(
@@ -282,7 +246,9 @@ def _state_row(s: StateScore) -> dict[str, Any]:
     names = ("rmse", "rmse_last", "sigma", "anees", "anees_band", "inside_3sigma")
     known = names if len(s.t) else ("sigma",)
     count = {} if s.count is None else {"count": s.count}
-    return {"unit": s.unit} | count | {name: getattr(s, name) for name in known}
+    exact = {EXACT: s.anees_without_truth_noise}
+    noisy = {} if s.anees_without_truth_noise is None else exact
+    return {"unit": s.unit} | count | {name: getattr(s, name) for name in known} | noisy
 
 
 def _statics(s: Score) -> dict[str, Any]:
@@ -304,6 +270,7 @@ def _row(
     laid: Mapping[str, Any],
     distance: float | None,
     cautions: Iterable[Caution],
+    without: Collection[str],
 ) -> dict[str, Any]:
     return {
         "kind": track.kind,
@@ -313,6 +280,8 @@ def _row(
         **step_ms(track.step_s),
         "anees": s.anees,
         "anees_band": s.anees_band,
+        **({} if s.anees_without_truth_noise is None else {EXACT: s.anees_without_truth_noise}),
+        **_without(s, without),
         "distance": distance,
         "cautions": [vars(c) for c in cautions],
         "rejected": {sensor: int(n) for sensor, n in track.rejected.items()},
@@ -322,6 +291,12 @@ def _row(
         **_statics(s),
         **({"aligned": laid} if laid else {}),
     }
+
+
+def _without(s: Score, without: Collection[str]) -> dict[str, Any]:
+    """Joint ANEES without some blocks; {} where none are named."""
+    names = ("anees_without", "anees_without_band")
+    return {name: getattr(s, name) for name in names} if without else {}
 
 
 def versions() -> dict[str, str]:
@@ -339,10 +314,12 @@ def summary(
     evaluate: tuple[float, float] | None,
     epochs: int,
     cautions: Sequence[Caution] = (),
+    scored: Scored = AS_USUAL,
 ) -> dict[str, Any]:
     """The object that ``relnav compare --json`` prints: strict JSON, schema 1.
 
-    truth: of tracks that have none of their own; cautions: of the pass. States that truth does
+    truth: of tracks that have none of their own; cautions: of the pass; scored: what the scenario
+    says of scores. States that truth does
     not know have unit and sigma only. Raises InputError as :func:`score` does.
     """
     rows = with_smoothed(tracks)
@@ -357,13 +334,15 @@ def summary(
         "epochs": epochs,
         "versions": versions(),
         "cautions": of_pass + of_rows,
+        **({"score": scored.describe()} if scored.describe() else {}),
         "estimators": {
             name: _row(
                 track,
-                score(track, track.truth or truth, derived, evaluate),
+                score(track, track.truth or truth, derived, evaluate, scored.without),
                 aligned(track, track.truth or truth, derived, window_of(track.t, evaluate)),
                 apart[name],
                 own[name],
+                scored.without,
             )
             for name, track in rows.items()
         },

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["ALIGNMENT", "explain_table", "study_table", "table"]
+__all__ = ["ALIGNMENT", "consistency_lines", "explain_table", "study_table", "table"]
 
 
 def _text(value: float | None, form: str = ".4g") -> str:
@@ -60,6 +60,31 @@ def _caution(caution: Mapping[str, Any]) -> str:
     return f"{caution['estimator'] or 'the pass'}: {caution['name']}: {caution['text']}"
 
 
+def consistency_lines(summary: Mapping[str, Any]) -> list[str]:
+    """What ANEES counts beside the estimate's covariance, and leaves out, a line each."""
+    rows, said, lines = summary["estimators"], summary.get("score", {}), list[str]()
+    exact = {n: r for n, r in rows.items() if r.get("anees_without_truth_noise") is not None}
+    if exact:
+        values = (f"{n} {_text(r['anees_without_truth_noise'], '.2f')}" for n, r in exact.items())
+        lines.append(
+            "ANEES counts the covariance of the truth; were the truth exact, it would be: "
+            + ", ".join(values)
+        )
+    if "axes" in said:
+        axes = ", ".join(f"{name} in {frame}" for name, frame in said["axes"].items())
+        lines.append(f"compared in other axes than its own: {axes}")
+    if "without" in said:
+        values = (_with_band(n, r, "anees_without") for n, r in rows.items())
+        lines.append(f"ANEES without {', '.join(said['without'])}: {', '.join(values)}")
+    return lines
+
+
+def _with_band(name: str, row: Mapping[str, Any], key: str) -> str:
+    band = row.get(f"{key}_band")
+    text = f"{name} {_text(row.get(key), '.2f')}"
+    return text if not band else f"{text} ({band[0]:.2f}..{band[1]:.2f})"
+
+
 def table(summary: Mapping[str, Any]) -> str:
     """The object of :func:`relnav_graph.scoring.metrics.summary` as text, 100 columns wide.
 
@@ -74,6 +99,7 @@ def table(summary: Mapping[str, Any]) -> str:
     header = "estimator |kind |status |run time s|step ms|ANEES|95 % band|apart|rejected "
     lines = [title, "", *_aligned(header, overview)]
     lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
+    lines += consistency_lines(summary)
     lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
     width = max(map(len, ["estimator", *rows]))  # the same columns in every block
     for state, unit in _moving(rows).items():
@@ -222,6 +248,7 @@ def study_table(summary: Mapping[str, Any]) -> str:
     header = "estimator |kind |status |runs|run time s|ANEES|95 % band"
     lines = [f"{title}, seed {seed}", ""]
     lines += _aligned(header, [_study_overview(name, row) for name, row in rows.items()])
+    lines += consistency_lines(summary)
     lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
     width = max(map(len, ["estimator", *rows]))
     for state, unit in _moving(rows).items():

@@ -129,8 +129,10 @@ def _add_row(row: RowRuns, scalars: Mapping[str, Any], run: int, before: int) ->
     if status == "diverged":
         return  # without numbers, and its kind may be wrong
     row.kind = scalars["kind"]
-    row.freedoms["joint"] = max(row.freedoms.get("joint", 0), scalars["freedoms"])
-    _put(row.own, "anees", scalars["anees"], before)
+    for joint, freedoms in {"joint": "freedoms", "without": "freedoms_without"}.items():
+        row.freedoms[joint] = max(row.freedoms.get(joint, 0), scalars.get(freedoms, 0))
+    for key in ("anees", "anees_without_truth_noise", "anees_without"):
+        _put(row.own, key, scalars.get(key), before)
     for sensor, count in scalars["rejected"].items():
         row.rejected[sensor] = row.rejected.get(sensor, 0) + count
     for name, values in scalars["states"].items():

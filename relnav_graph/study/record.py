@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,7 @@ from relnav_graph.scoring.deviations import (
     nees,
 )
 from relnav_graph.scoring.metrics import (
+    EXACT,
     Score,
     StateScore,
     score_of,
@@ -113,6 +114,8 @@ def _settled(s: StateErrors, bound: StateEstimates | None) -> float | None:
     if bound is None:
         return None
     trace = np.trace(bound.P, axis1=1, axis2=2)
+    if s.noise is not None:  # nor can an error be smaller than the truth's own
+        trace = trace + float(np.trace(s.noise.T, axis1=1, axis2=2).max(initial=0.0))
     limit = 9 * trace[len(trace) // 2 :].max()
     beyond = np.flatnonzero(~((s.e**2).sum(axis=1) <= limit))
     if not len(beyond):
@@ -122,7 +125,7 @@ def _settled(s: StateErrors, bound: StateEstimates | None) -> float | None:
 
 def _state_scalars(name: str, score: Score, settled: float | None) -> dict[str, Any]:
     s = score.states[name]
-    known = ("rmse", "rmse_last", "anees", "freedoms")
+    known = ("rmse", "rmse_last", "anees", "freedoms", EXACT)
     inside = ("inside_1sigma", "inside_2sigma", "inside_3sigma")
     values = {key: getattr(s, key) for key in (*known, *inside)} if len(s.t) else {}
     return {"unit": s.unit, "sigma": s.sigma, **values, "settled_s": settled}
@@ -214,7 +217,7 @@ def _series(row: _Row, order: Sequence[str]) -> Array:
         if name in row.found:
             s = row.found[name]
             at = np.searchsorted(t, s.t - 1e-9)
-            value, rank = nees(s.e, s.P)
+            value, rank = nees(s.e, s.S)
             out[k, 0] = _binned(at, (s.e**2).sum(axis=1), count)
             out[k, 1] = _binned(at, value / np.maximum(rank, 1), count)
     e, P = joint(row.found.values(), row.track, row.track.layout)
@@ -255,6 +258,9 @@ def _row_scalars(
         "rejected": {k: int(v) for k, v in track.rejected.items()},
         "anees": score.anees,
         "freedoms": score.freedoms,
+        EXACT: score.anees_without_truth_noise,
+        "anees_without": score.anees_without,
+        "freedoms_without": score.freedoms_without,
         "states": {n: _state_scalars(n, score, settled[n]) for n in score.states},
         "innovations": {n: _innovation_scalars(i) for n, i in track.innovations.items()},
         **_statics_scalars(score, constants),
@@ -298,11 +304,13 @@ def make_record(
     derived: Sequence[Derived],
     evaluate: tuple[float, float] | None,
     rng: np.random.Generator,
+    without: Collection[str] = (),
 ) -> RunRecord:
     """The record of a run: of one pass, or of several where each estimator has flown its own.
 
     Bounds are taken along each truth; passes with the same true states, as of a target that
-    no control moves, share them. rng: for what is estimated by random probes. Raises
+    no control moves, share them. rng: for what is estimated by random probes; without: see
+    `relnav_graph.scoring.scores.Score`. Raises
     InputError where truth and tracks do not fit together.
     """
     parts = ("rows", "bound", "noise", "timing", "cautions")
@@ -327,7 +335,7 @@ def make_record(
             states = estimates(track, derived)
             errors = {} if truth is None else deviations(states, track.t, truth, derived)
             row = rows[name] = _Row(track, states, errors)
-            score = score_of(track, states, errors, evaluate, truth)
+            score = score_of(track, states, errors, evaluate, truth, without)
             laid = aligned(track, truth, derived, window_of(track.t, evaluate))
             kind = "filtered" if track.kind == "filtered" else "smoothed"
             own = {} if limits is None else limits.states[kind]

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relnav_graph.core.models import derived_quantities
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.estimators import try_estimator
 from relnav_graph.runs.comparison import estimate_pass
@@ -86,7 +85,8 @@ def _run(spec: StudySpec, scenario: Scenario, run: int) -> RunRecord:
     return make_record(
         run,
         estimate_pass(simulated_pass(scenario, spec.seed, run), spec.estimators, try_estimator),
-        derived_quantities(scenario.layout),
+        scenario.derived,
         scenario.window(scenario.times),
         stream(spec.seed, run, "probes"),
+        scenario.scored.without,
     )

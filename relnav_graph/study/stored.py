@@ -34,6 +34,7 @@ class _State:
     rmse_last: Number = None
     anees: Number = None
     freedoms: Count = 0
+    anees_without_truth_noise: Number = None
     inside_1sigma: Number = None
     inside_2sigma: Number = None
     inside_3sigma: Number = None
@@ -99,6 +100,9 @@ class _Row:
     freedoms: Count
     states: dict[str, _State]
     innovations: dict[str, Numbers]
+    anees_without_truth_noise: Number = None
+    anees_without: Number = None
+    freedoms_without: Count = 0
     bound: Numbers = field(default_factory=dict)
     statics: dict[str, _Static] = field(default_factory=dict)
     statics_joint: _Joint = field(default_factory=_Joint)

@@ -14,7 +14,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.scoring.deviations import chi2_band
-from relnav_graph.scoring.metrics import versions
+from relnav_graph.scoring.metrics import EXACT, versions
 from relnav_graph.study.collect import Collected, RowRuns
 from relnav_graph.study.runs import StudySpec
 
@@ -108,6 +108,7 @@ def _state(row: RowRuns, name: str, bound: Array, interval: Any) -> dict[str, An
             "efficiency": _number(total / limit) if limit > 0 else None,
             "anees": _number(_mean(row.of(name, "anees"))),
             "anees_band": _band(row.freedoms[name], runs),
+            **_exact(row.of(name, EXACT)),
             **{k: _number(_mean(row.of(name, k))) for k in _INSIDE},
             "convergence_s": _number(np.median(done)) if len(done) else None,
             "converged": len(done) / len(settled) if len(settled) else None,
@@ -182,6 +183,20 @@ def _sensor(row: RowRuns, name: str) -> dict[str, Any]:
     }
 
 
+def _exact(values: Array) -> dict[str, Any]:
+    """ANEES as if the truth were exact, of values (runs,); {} where it is."""
+    return {EXACT: _number(_mean(values))} if np.isfinite(values).any() else {}
+
+
+def _without(row: RowRuns) -> dict[str, Any]:
+    """Joint ANEES without the blocks that the scenario names; {} where it names none."""
+    values = np.array(row.own.get("anees_without", []))
+    runs, freedoms = int(np.isfinite(values).sum()), row.freedoms.get("without", 0)
+    if not runs:
+        return {}
+    return {"anees_without": _number(_mean(values)), "anees_without_band": _band(freedoms, runs)}
+
+
 def _timing(row: RowRuns) -> dict[str, Any]:
     medians = {k: _number(np.nanmedian(v)) for k, v in row.timing.items()}
     steps = {k: v for k, v in medians.items() if k != "runtime_s"}
@@ -217,6 +232,8 @@ def _row(
         "runs": len(found.runs) - len(found.failed) - sum(s == "diverged" for _, s, _ in row.bad),
         "anees": _number(_mean(anees)),
         "anees_band": _band(row.freedoms.get("joint", 0), counted),
+        **_exact(np.array(row.own.get(EXACT, []))),
+        **_without(row),
         "rejected": row.rejected,
         "states": {s: _state(row, s, bound[s], intervals.get((name, s))) for s in row.units},
         **_statics(name, row, seed),

@@ -16,6 +16,7 @@ import numpy as np
 
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.deviations import chi2_band
+from relnav_graph.scoring.metrics import EXACT
 from relnav_graph.scoring.variance_components import PRIOR, estimate_factors
 from relnav_graph.study.collect import Collected, RowRuns
 
@@ -152,6 +153,8 @@ def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) ->
         heard = {s: _judge_sensor(runs, s, v) for s, v in row["sensors"].items()}
         sensors[name] = {s: v for s, v in heard.items() if v is not None}
         text += [_sensor_text(name, s, v) or "" for s, v in sensors[name].items()]
+    if any(row.get(EXACT) is not None for row in summary["estimators"].values()):
+        text.append("The truth's own covariance is counted: its noise is no error of an estimate.")
     best = _best_smoothed(found)
     noises = _noises(found.rows[best]) if best else []
     causes = [n for n in noises if n["named"]]
