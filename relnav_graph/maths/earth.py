@@ -23,7 +23,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.maths.instants import DAY, TT_TAI, Instant, leap_seconds
 
-__all__ = ["EarthTable", "gcrf_from_itrf", "itrf_from_gcrf", "read_finals"]
+__all__ = ["EarthTable", "gcrf_from_itrf", "itrf_from_gcrf", "read_finals", "third_body"]
 
 _ARCSEC = np.pi / 648000
 _JD = 2400000.5
@@ -65,27 +65,34 @@ class EarthTable:
                     f" less than {most:g} in size"
                 )
 
+    def covers(self, begin: Instant) -> tuple[float, float]:
+        """From which to which time, s since an instant, the table goes."""
+        tt = self._seconds(begin)
+        return float(tt[0]), float(tt[-1])
+
+    def _tai_utc(self) -> Array:
+        return np.array([leap_seconds(int(day)) for day in self.mjd], dtype=np.float64)
+
+    def _seconds(self, begin: Instant) -> Array:
+        """The days (N,) in seconds since an instant."""
+        first = int(self.mjd[0])
+        since = Instant(first, 0.0).since(begin)
+        return (self.mjd - first) * DAY + self._tai_utc() + TT_TAI + since
+
     def at(self, begin: Instant, t: Array) -> tuple[Array, Array, Array]:
         """UT1 - TT, s, xp and yp, rad, (N,) each, at t (N,), s since an instant; between days
         linear, in UT1 - TAI, which does not jump.
 
         Raises InputError on times that the table does not cover.
         """
-        tai_utc = np.array([leap_seconds(int(day)) for day in self.mjd], dtype=np.float64)
-        first = int(self.mjd[0])
-        tt = (self.mjd - first) * DAY + tai_utc + TT_TAI
-        own = begin.since(Instant(first, 0.0)) + t
-        if not (tt[0] <= own.min() and own.max() <= tt[-1]):
+        own = self._seconds(begin)
+        if not (own[0] <= t.min() and t.max() <= own[-1]):
             raise InputError(
                 f"{self.source}: found days {self.mjd[0]:g} to {self.mjd[-1]:g}, expected the time"
                 f" from {begin.after(float(t.min()))} to {begin.after(float(t.max()))}"
             )
-        ut1_tt = self.ut1_utc - tai_utc - TT_TAI
-        return (
-            np.interp(own, tt, ut1_tt),
-            np.interp(own, tt, self.xp),
-            np.interp(own, tt, self.yp),
-        )
+        ut1_tt = self.ut1_utc - self._tai_utc() - TT_TAI
+        return np.interp(t, own, ut1_tt), np.interp(t, own, self.xp), np.interp(t, own, self.yp)
 
 
 def read_finals(text: str, source: str) -> EarthTable:
@@ -140,14 +147,34 @@ def celestial_pole(begin: Instant, t: Array) -> tuple[Array, Array, Array]:
     return x, y, s
 
 
-def _turns(begin: Instant, t: Array, table: EarthTable | None) -> tuple[Array, Array]:
-    """``R_ie`` (N, 3, 3), from ITRF to GCRF, and its rate of turn in ITRF (N, 3), rad/s."""
+def origin_offset(begin: Instant, t: Array) -> Array:
+    """s' (N,), rad, of the terrestrial intermediate origin, at t (N,), s since an instant."""
+    found: Array = erfa.sp00(_JD + begin.day, (begin.seconds + t) / DAY)
+    return found
+
+
+def turns(begin: Instant, t: Array, table: EarthTable | None) -> tuple[Array, Array]:
+    """``R_ie`` (N, 3, 3), from ITRF to GCRF, and its rate of turn in ITRF (N, 3), rad/s.
+
+    t: (N,), s since an instant; table: the Earth's orientation. Raises InputError on times that it
+    does not cover.
+    """
     ut1_tt, xp, yp = orientation(begin, t, table)
     to_celestial = erfa.c2ixys(*celestial_pole(begin, t))
-    s_prime = erfa.sp00(_JD + begin.day, (begin.seconds + t) / DAY)
-    to_terrestrial = erfa.pom00(xp, yp, s_prime)
+    to_terrestrial = erfa.pom00(xp, yp, origin_offset(begin, t))
     R_ei = erfa.c2tcio(to_celestial, rotation_angle(begin, t, ut1_tt), to_terrestrial)
     return np.swapaxes(R_ei, -1, -2), EARTH_RATE * to_terrestrial[..., 2]
+
+
+def third_body(name: str, begin: Instant, t: Array) -> Array:
+    """Where the "sun" or the "moon" is from the Earth's centre, (N, 3), m, in GCRF.
+
+    t: (N,), s since an instant. Series of ERFA (Simon et al. 1994; Meeus 1998): the Sun within 1e-7
+    of its distance, the Moon within 1e-4: 1e-10 m/s^2 of its pull on a low orbit.
+    """
+    jd = _JD + begin.day, (begin.seconds + t) / DAY
+    found = erfa.moon98(*jd)["p"] if name == "moon" else -erfa.epv00(*jd)[0]["p"]
+    return np.asarray(found, dtype=np.float64) * float(erfa.DAU)
 
 
 def _checked(t: Array, r: Array, v: Array) -> tuple[Array, Array, Array]:
@@ -171,7 +198,7 @@ def gcrf_from_itrf(
     Raises InputError on other shapes, and on times that the table does not cover.
     """
     t, r, v = _checked(t, r, v)
-    R_ie, w_e = _turns(begin, t, table)
+    R_ie, w_e = turns(begin, t, table)
     return (
         np.einsum("nij,nj->ni", R_ie, r),
         np.einsum("nij,nj->ni", R_ie, v + np.cross(w_e, r)),
@@ -187,6 +214,6 @@ def itrf_from_gcrf(
     Raises InputError on other shapes, and on times that the table does not cover.
     """
     t, r, v = _checked(t, r, v)
-    R_ie, w_e = _turns(begin, t, table)
+    R_ie, w_e = turns(begin, t, table)
     r_e = np.einsum("nji,nj->ni", R_ie, r)
     return r_e, np.einsum("nji,nj->ni", R_ie, v) - np.cross(w_e, r_e)

@@ -24,6 +24,7 @@ from relnav_graph.errors import InputError, ModelError
 from relnav_graph.estimators import find_estimator
 from relnav_graph.files import check_name, printable
 from relnav_graph.memory import check_room
+from relnav_graph.scenario.absolute import NEEDED, Clock, in_pass_time, pass_clock, with_data_epoch
 from relnav_graph.scenario.closures import at_keyframes, copy_priors
 from relnav_graph.scenario.gaps import check_stamps, make_bridges
 from relnav_graph.scenario.priors import check_prior, true_statics
@@ -188,22 +189,26 @@ def make_scenario(
     # Until the data are read, settings that they may bring count as present, not as missing.
     waiting = settings is None and "data" in raw
     merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
+    merged = with_data_epoch(merged, settings, problems)
     file: ScenarioFile | None
     try:
         file = ScenarioFile.model_validate(merged)
     except ValidationError as error:
         problems += from_pydantic("", error)
         file = _without(merged, {e["loc"][0] for e in error.errors() if e["loc"]})
-    orbit = merged.get("orbit")
+    clock = pass_clock(merged, problems)
+    tables_of = in_pass_time(merged, clock, waiting, problems)
+    orbit = tables_of.get("orbit")
     made: dict[str, dict[str, Any]] = {"processes": {}, "sensors": {}}
     options: dict[str, SensorOptions] = {}
     for section, found in made.items():
-        tables = merged.get(section)
+        tables = tables_of.get(section)
         for key, table in tables.items() if isinstance(tables, Mapping) else ():
             path = f"{section}.{key}"
             if not isinstance(table, Mapping):
                 continue  # reported above
             own = shared_orbit(models.ENTRY_POINTS, table, orbit)
+            own = clock.given_to(models.ENTRY_POINTS, own)
             several = {key: own}
             if section == "sensors":
                 general = {k: own.pop(k) for k in SensorOptions.model_fields if k in own}
@@ -221,10 +226,12 @@ def make_scenario(
                     problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
                     model = None
                 found[each] = model
+                if not waiting and clock.lacks(model):
+                    problems.append((path, NEEDED))
                 if model is None:
                     break  # what is wrong with one keyframe is wrong with all
-    truth, inputs = _make_truth(merged, orbit, problems)
-    control = _make_control(merged, orbit, truth, problems)
+    truth, inputs = _make_truth(tables_of, orbit, clock, problems)
+    control = _make_control(tables_of, orbit, truth, problems)
     if waiting:
         problems = [p for p in problems if p[1] != MISSING]
         made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
@@ -284,14 +291,16 @@ def make_scenario(
 
 
 def _make_truth(
-    raw: Mapping[str, Any], orbit: Mapping[str, Any] | None, problems: Problems
+    raw: Mapping[str, Any], orbit: Mapping[str, Any] | None, clock: Clock, problems: Problems
 ) -> tuple[Any, dict[str, Any]]:
     truth, inputs = None, {}
     own = raw.get("truth")
     if isinstance(own, Mapping) and not own.keys() <= BESIDE_TRUTH:
         model = {k: v for k, v in own.items() if k not in BESIDE_TRUTH}
-        own = shared_orbit(TRUTHS, model, orbit)
+        own = clock.given_to(TRUTHS, shared_orbit(TRUTHS, model, orbit))
         truth = make_kind(TRUTHS, "truth", own, problems)
+        if clock.lacks(truth):
+            problems.append(("truth", NEEDED))
         if truth is not None and not isinstance(truth, SimulatedTruth | DrivenTruth):
             problems.append(("truth.kind", f"found {own['kind']!r}, expected a truth"))
             truth = None

@@ -6,12 +6,11 @@ import math
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
-from relnav_graph.core.epochs import LONGEST, unit_hint
-from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.errors import InputError
 from relnav_graph.maths.losses import LossKind
+from relnav_graph.scenario.time_settings import STRICT, Seconds, TimeSettings
 from relnav_graph.sim.sensors import Law, Timing
 from relnav_graph.units import Quantity, parse_quantity
 
@@ -26,42 +25,7 @@ def _checked_bound(value: float | str) -> float | str:
     return value
 
 
-Seconds = Annotated[float, Quantity("s", positive=True)]
 Bound = Annotated[float | str, AfterValidator(_checked_bound)]
-STRICT = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-class TimeSettings(BaseModel):
-    """The clock of a pass, and the epochs of a simulated one.
-
-    step, epochs: of a simulated pass, which has so many epochs, so far apart, from t = 0, and
-    between them those of sensors whose period is no multiple of the step; recorded data need
-    neither. origin: what the stamps of files and streams say at t = 0, s: it
-    is taken off when they are read, so that numbers stay small, and put back when data are
-    written; all other times (`[orbit] epoch`, `evaluate`, results) are of the pass's own clock.
-    merge: s, measurements that close to the first of an epoch are of it; 0: only equal stamps.
-    """
-
-    model_config = STRICT
-
-    step: Seconds | None = None
-    epochs: int | None = Field(default=None, ge=1)
-    origin: Annotated[float, Quantity("s")] = 0.0
-    merge: Annotated[float, Quantity("s", nonnegative=True)] = SAME_TIME
-
-    @property
-    def tolerance(self) -> float:
-        """`merge` with room for the rounding of stamps that are just so far apart, s."""
-        return self.merge * (1 + 1e-6) if self.merge > SAME_TIME else self.merge
-
-    @model_validator(mode="after")
-    def _reasonable(self) -> TimeSettings:
-        if (self.step is None) != (self.epochs is None):
-            raise ValueError("found one of step and epochs, expected both or neither")
-        if self.step is not None and self.step > LONGEST:
-            hint = unit_hint(self.step).replace("stamps", "numbers")
-            raise ValueError(f"found step {self.step:g} s, expected at most {LONGEST:g} s{hint}")
-        return self
 
 
 class DataSettings(BaseModel):

@@ -7,9 +7,11 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.gravity import FIELD, Degree, earth_field
-from relnav_factors.shared.orbit_steps import FAILURES, coast, orbit_status
-from relnav_factors.shared.thrust import Thrusted, thrust_of
+from relnav_factors.shared.earth import UNKNOWN_TIME, time_known
+from relnav_factors.shared.earth_bound import EarthBound
+from relnav_factors.shared.gravity import FIELD
+from relnav_factors.shared.orbit_steps import FAILURES, fly, orbit_status
+from relnav_factors.shared.white_noise import duration
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (
@@ -27,14 +29,14 @@ from relnav_graph.units import Quantity
 def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: Array) -> int:
     """``r_tc'' = g(r_c) - g(r_c - r_tc) + thrust + white``, by Runge-Kutta steps.
 
-    p (7,): field (5,), acceleration density (m/s^1.5), longest step (s). u (rows, 1): dt, s, or
-    (rows, 10), see `thrust_of`. x (12,): r_tc_i (m), v_tc_i (m/s), r_c_i, v_c_i. x_next (6,):
-    r_tc_i, v_tc_i. F (6, 12), Q (6, 6), SI.
+    p (7 + n,): field (5,), acceleration density (m/s^1.5), longest step (s), Earth (n,), see
+    `earth_numbers`, or none. u (rows, 1): dt, s, or (rows, 10), see `fly`. x (12,):
+    r_tc_i (m), v_tc_i (m/s), r_c_i, v_c_i. x_next (6,): r_tc_i, v_tc_i. F (6, 12), Q (6, 6), SI.
     """
-    y, total, noise = x, dense.identity(12), np.zeros((6, 6))
-    for row in range(u.shape[0]):
-        thrust, longest = thrust_of(u, row), p[FIELD + 1]
-        y, total, noise = coast(p, y, total, noise, u[row, 0], longest, 0.0, p[FIELD], thrust)
+    earth = p[FIELD + 2 :]
+    if not (time_known(earth, t) and time_known(earth, t + duration(u))):
+        return UNKNOWN_TIME
+    y, total, noise = fly(p, earth, t, u, x, p[FIELD + 1], 0.0, p[FIELD])
     status = orbit_status(x, y, total)
     if status != 0:
         return status
@@ -47,15 +49,15 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelativeTwoBody(Thrusted):
+class RelativeTwoBody(EarthBound):
     """r_tc'' = g(r_c) - g(r_c - r_tc) + white, in axes that do not rotate: o is i.
 
     The exact difference of two gravities, where Xiong et al. 2013, eq. 12, have its first
     order, in an orbital frame taken from the chaser's orbit (6 mm at 200 m). The chaser's
     orbit stands in the state: see `OrbitTwoBody`.
 
-    acceleration_density: m/s^1.5, white, per axis, of the relative motion; degree: of the
-    highest zonal harmonic of the Earth; max_step: s, the longest Runge-Kutta step.
+    acceleration_density: m/s^1.5, white, per axis, of the relative motion; degree, order,
+    third_bodies: of gravity, see `EarthBound`; max_step: s, the longest Runge-Kutta step.
     With thrust, the chaser's own orbit takes the same input, and draws what that misses for itself.
     """
 
@@ -67,7 +69,6 @@ class RelativeTwoBody(Thrusted):
     failures = FAILURES
 
     acceleration_density: Annotated[float, Quantity("m/s^1.5", positive=True)]
-    degree: Degree = 0
     max_step: Annotated[float, Quantity("s", positive=True)] = 10.0
 
     @property
@@ -79,6 +80,5 @@ class RelativeTwoBody(Thrusted):
         return CHASER_POSITION, CHASER_VELOCITY
 
     def constants(self) -> Array:
-        return np.concatenate(
-            [earth_field(self.degree), [self.acceleration_density, self.max_step]]
-        )
+        own = [self.acceleration_density, self.max_step]
+        return np.concatenate([self.sphere, own, self.earth])

@@ -79,10 +79,10 @@ def drive(
     for i in range(n):
         S[i, i] = 1.0
     to_R, to_g = dense.identity(3), np.zeros((3, 3))
-    turn, kick, none = np.empty(3), np.empty((3, 9)), np.zeros(THRUST)
+    turn, kick, none, sphere = np.empty(3), np.empty((3, 9)), np.zeros(THRUST), np.empty(0)
     for row in range(u.shape[0]):
         dt = u[row, 0]
-        y, S, Q = coast(p, y, S, Q, dt, p[FIELD + 1], 0.0, p[FIELD], none)
+        y, S, Q = coast(p, sphere, 0.0, y, S, Q, dt, p[FIELD + 1], 0.0, p[FIELD], none)
         dv, by_R, by_g, by_f, R_ic = velocity_gained(R_ic, u[row], b_g, b_f)
         dense.put_block(kick, 0, ATTITUDE, dense.matmul(by_R, to_R), 1.0)
         dense.put_block(kick, 0, GYRO, dense.add_scaled(by_g, dense.matmul(by_R, to_g), 1.0), 1.0)

@@ -20,6 +20,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
+from relnav_graph.maths.instants import Instant
 
 __all__ = ["read"]
 
@@ -151,6 +152,8 @@ def read(
     Truth: relative_position r_tc, m, and relative_velocity v_tc, m/s, of the chaser from the
     target, chaser_position r_c, m, and chaser_velocity v_c, m/s, in i.
 
+    Settings: the absolute time of t = 0.
+
     Raises InputError, with file and line, on files that are missing, damaged, of another
     frame or time scale, in other units, and when they have no two epochs in common.
     """
@@ -165,7 +168,8 @@ def read(
             f"{target.path} and {craft.path}: found {len(t)} epochs in common, expected two or"
             " more: are they of the same day and time scale?"
         )
-    t = t - t[0]
+    first = t[0]
+    t = t - first
     end = np.inf if duration is None else start + duration
     part = (t >= start - _SAME) & (t <= end + _SAME)
     if part.sum() < 2:
@@ -182,4 +186,5 @@ def read(
     }
     times = t[part] - t[part][0]
     source = f"precise orbits, {craft.name} (chaser) and {target.name} (target)"
-    return Recording(times, (), {}, Truth(times, values, source))
+    began = Instant.of(int(day), (day - int(day)) * _DAY + float(first + t[part][0]), "TT")
+    return Recording(times, (), {}, Truth(times, values, source), {"time": {"epoch": str(began)}})
