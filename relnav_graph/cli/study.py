@@ -20,6 +20,7 @@ from relnav_graph.files import printable
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.conduct import Workers, do_runs, do_until, merge, study_summary
 from relnav_graph.study.folder import StudyFolder
+from relnav_graph.study.recorded import open_data
 from relnav_graph.study.runs import StudySpec
 
 
@@ -89,8 +90,9 @@ def _place(out: Path | None) -> Iterator[Path]:
         yield Path(folder)
 
 
-def _rerun(scenario: Path, spec: StudySpec, assignments: Sequence[str]) -> str:
+def _rerun(scenario: Path, spec: StudySpec, assignments: Sequence[str], data: Path | None) -> str:
     settings = [part for text in assignments for part in ("--set", text)]
+    settings += [] if data is None else ["--data", str(data)]
     words = ["relnav", "compare", str(scenario), "--seed", str(spec.seed), *settings]
     return printable(shlex.join(words))
 
@@ -113,6 +115,7 @@ def _show(
 @click.option("--runs", type=click.IntRange(1), default=100, show_default=True, help="Runs.")
 @click.option("-e", "--estimator", "kinds", multiple=True, help="Estimator; may be repeated.")
 @click.option("--seed", type=click.IntRange(0), help="Root of the random numbers.")
+@click.option("--data", type=click.Path(path_type=Path), help="Recorded orbits: see above.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("-j", "--jobs", type=click.IntRange(1), help="Local processes; default: all cores.")
 @click.option("--dask", metavar="ADDRESS", help="Scheduler of dask.distributed, or 'local'.")
@@ -127,6 +130,7 @@ def command(
     runs: int,
     kinds: tuple[str, ...],
     seed: int | None,
+    data: Path | None,
     assignments: tuple[str, ...],
     jobs: int | None,
     dask: str | None,
@@ -142,6 +146,9 @@ def command(
     Gives RMSE with intervals, consistency with bands, the bound, and a verdict. A study
     that was interrupted goes on when the same command is given again. The numbers do not
     depend on who makes the runs.
+
+    With --data, the folder of a reader that the scenario names, the truth is recorded, and
+    the sensors of data.simulate are drawn anew on it in each run.
 
     \b
     relnav study SCENARIO --runs 200 -o OUT --shard 1/4     one of four jobs of a queue
@@ -161,13 +168,16 @@ def command(
     if shard and (out is None or until_ci):
         raise click.UsageError("--shard needs -o OUT, and does not go with --until-ci")
     check_before_work(kinds, out)
-    scenario = load_scenario(paths[0], assignments)
-    spec = StudySpec.of(scenario, seed, kinds)
+    if data is None:
+        spec = StudySpec.of(load_scenario(paths[0], assignments), seed, kinds)
+    else:
+        scenario, recorded = open_data(paths[0], data, assignments, seed)
+        spec = StudySpec.of(scenario, seed, kinds, recorded)
     chosen = range(runs) if shard is None else range(shard[0] - 1, runs, shard[1])
     jobs = jobs or _cores()
     crew = nullcontext(Workers(jobs)) if dask is None else _dask_workers(dask, jobs)
     with _place(out) as place, crew as workers:
-        folder = StudyFolder(place, spec, _rerun(paths[0], spec, assignments))
+        folder = StudyFolder(place, spec, _rerun(paths[0], spec, assignments, data))
         kept = len(set(chosen) & set(folder.runs()))
         if kept:
             show_progress(f"{place}: {kept} of {len(chosen)} runs are there")

@@ -17,7 +17,6 @@ from relnav_graph.io.results import cautions_in, read_results
 from relnav_graph.io.stored import Count, check_json
 from relnav_graph.runs.comparison import compare_pass
 from relnav_graph.runs.outputs import sights
-from relnav_graph.runs.passes import simulated_pass
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.schema import ScenarioError
@@ -26,6 +25,7 @@ from relnav_graph.scoring.metrics import summary, versions
 from relnav_graph.study.collect import Collected
 from relnav_graph.study.conduct import study_summary
 from relnav_graph.study.folder import StudyFolder
+from relnav_graph.study.runs import StudySpec
 
 __all__ = ["PassContents", "StudyContents", "WorstRun", "read_contents"]
 
@@ -74,16 +74,15 @@ class StudyContents:
     found: Collected
     command: str
     versions: Mapping[str, str]
-    seed: int
-    estimators: Sequence[str]
+    spec: StudySpec
     judged: str
     worst: Sequence[WorstRun]
 
     def remake(self, run: int) -> PassContents | None:
         """A run made again, which gives the same numbers; None when it fails."""
         try:
-            run_again = simulated_pass(self.scenario, self.seed, run)
-            found = compare_pass(run_again, self.estimators)
+            run_again = self.spec.drawn(*self.spec.read(), run)
+            found = compare_pass(run_again, self.spec.estimators)
         except (RelnavError, ArithmeticError, np.linalg.LinAlgError):
             return None
         command = next((w.command for w in self.worst if w.run == run), "")
@@ -177,8 +176,7 @@ def _read_study(path: Path, trust: bool) -> StudyContents:
         found,
         f"{command} --runs {max([*there, *lost]) + 1}{estimators}" if command else "",
         found_summary["versions"],
-        spec.seed,
-        spec.estimators,
+        spec,
         judged,
         _worst(found, judged, folder.rerun + estimators),
     )

@@ -72,6 +72,8 @@ class RunFigures:
     @cached_property
     def t(self) -> Array:
         """Mean time of each bin of the series, (bins,), s."""
+        if (data := self.study.spec.data) is not None:
+            return np.array(data.centres)
         times = self.study.scenario.times
         edges = bin_edges(len(times))
         return np.array([0.5 * (times[a] + times[b - 1]) for a, b in pairwise(edges)])

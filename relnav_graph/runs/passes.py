@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,7 @@ from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.toml import override, read_toml
 
-__all__ = ["Pass", "is_dataset", "open_dataset", "open_pass", "simulated_pass"]
+__all__ = ["Pass", "is_dataset", "open_dataset", "open_pass", "recorded_pass", "simulated_pass"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,35 +92,54 @@ def open_pass(
 
     Raises InputError on whatever is wrong with any of them.
     """
+    if data is None:
+        own = _tables_of(scenario, assignments)[2](None)
+        return simulated_pass(own, own.file.seed if seed is None else seed, run, loops)
+    own, recording = recorded_pass(scenario, data, assignments)
+    root = own.file.seed if seed is None else seed
+    if isinstance(data, Recording) or not is_dataset(Path(data)):
+        recording = own.completed(recording, root, run)
+    return Pass(own, recording, root, False, run)
+
+
+def recorded_pass(
+    scenario: Scenario | str | Path,
+    data: Recording | str | Path,
+    assignments: Sequence[str] = (),
+) -> tuple[Scenario, Recording]:
+    """A scenario with what recorded data bring for it, and the data, without the sensors that are
+    to be simulated on their truth; see `open_pass`, which simulates them.
+
+    Raises InputError on whatever is wrong with any of them.
+    """
+    where, raw, made = _tables_of(scenario, assignments)
+    if isinstance(data, Recording):
+        return made(data.settings), data
+    folder = Path(data)
+    _need_folder(folder)
+    if is_dataset(folder):
+        own = made(read_settings_of(folder, raw))
+        return own, _recorded(own, folder)
+    recording = _read_folder(where, raw, folder)
+    own = made(recording.settings)
+    return own, recording.shifted(-own.file.time.origin)
+
+
+def _tables_of(
+    scenario: Scenario | str | Path, assignments: Sequence[str]
+) -> tuple[str, dict[str, Any], Callable[[Mapping[str, Any] | None], Scenario]]:
+    """Where a scenario is from, its tables, and what makes it of them and of the settings that
+    data bring, if there are any."""
     known = scenario if isinstance(scenario, Scenario) else None
-    path = None if isinstance(scenario, Scenario) else Path(scenario)
-    raw = override(known.raw if known else read_toml(Path(str(path))), assignments)
-    where = known.name if known else str(path)
+    path = Path() if isinstance(scenario, Scenario) else Path(scenario)
+    raw = override(known.raw if known else read_toml(path), assignments)
 
     def made(settings: Mapping[str, Any] | None) -> Scenario:
         if known and not assignments and not settings:
             return known
-        return make_scenario(raw, known.name if known else Path(str(path)).stem, settings)
+        return make_scenario(raw, known.name if known else path.stem, settings)
 
-    def root_of(scenario: Scenario) -> int:
-        return scenario.file.seed if seed is None else seed
-
-    if data is None:
-        drawn = made(None)
-        return simulated_pass(drawn, root_of(drawn), run, loops)
-    read = not isinstance(data, Recording)
-    if isinstance(data, Recording):
-        recording = data
-    else:
-        folder = Path(data)
-        _need_folder(folder)
-        if is_dataset(folder):
-            own = made(read_settings_of(folder, raw))
-            return Pass(own, _recorded(own, folder), root_of(own), False, run)
-        recording = _read_folder(where, raw, folder)
-    own = made(recording.settings)
-    recording = recording.shifted(-own.file.time.origin if read else 0.0)
-    return Pass(own, own.completed(recording, root_of(own), run), root_of(own), False, run)
+    return known.name if known else str(path), raw, made
 
 
 def _read_folder(where: str, raw: Mapping[str, Any], folder: Path) -> Recording:

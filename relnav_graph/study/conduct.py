@@ -138,6 +138,8 @@ def study_summary(
     found = collect(folder.records(there))
     found.failed += sorted(lost.items())
     scenario = make_scenario(folder.spec.raw, folder.spec.name)
-    summary = summarize(folder.spec, found, len(scenario.times), folder.rerun)
-    summary["verdict"] = verdict(summary, found, scenario)
+    data = folder.spec.data
+    epochs = len(scenario.times) if data is None else data.epochs
+    summary = summarize(folder.spec, found, epochs, folder.rerun)
+    summary["verdict"] = verdict(summary, found, scenario, data.same if data else ())
     return summary, found

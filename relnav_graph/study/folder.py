@@ -21,6 +21,7 @@ from relnav_graph.registry import find_class
 from relnav_graph.scenario.toml import refuse_modules
 from relnav_graph.scoring.metrics import versions
 from relnav_graph.study.record import RunRecord
+from relnav_graph.study.recorded import StudyData
 from relnav_graph.study.runs import StudySpec
 
 __all__ = ["StudyFolder"]
@@ -41,6 +42,7 @@ class _Manifest:
     raw: dict[str, Any]
     seed: Count
     estimators: list[str]
+    data: StudyData | None = None
     rerun: str = ""
 
 
@@ -74,6 +76,10 @@ class StudyFolder:
         if (path / "study.json").is_file():
             found = asdict(_read_manifest(path))
             self.rerun = found.pop("rerun") or rerun
+            if found["data"] is None:
+                del found["data"]
+            elif spec.data is not None:  # which they are counts, and not where
+                found["data"]["folder"] = spec.data.folder
             if json.dumps(found) != json.dumps(manifest):
                 text = _difference("", found, manifest) or "the tables are in another order"
                 raise InputError(
@@ -100,7 +106,7 @@ class StudyFolder:
                 find_class(GROUP, kind)
             except ModelError as error:
                 raise InputError(f"{file}: estimators[{i}]: {error}") from error
-        spec = StudySpec(found.name, found.raw, found.seed, tuple(found.estimators))
+        spec = StudySpec(found.name, found.raw, found.seed, tuple(found.estimators), found.data)
         return StudyFolder(path, spec)
 
     def _file(self, run: int) -> Path:

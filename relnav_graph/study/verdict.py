@@ -9,7 +9,7 @@ than `TOLERANCE` (since with enough runs every small nonlinearity leaves the ban
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -141,8 +141,13 @@ def _best_smoothed(found: Collected) -> str | None:
     return min(costs, key=costs.__getitem__) if costs else None
 
 
-def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) -> dict[str, Any]:
-    """What the summary and the residuals say, with sentences for people in `text`."""
+def verdict(
+    summary: Mapping[str, Any], found: Collected, scenario: Scenario, same: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What the summary and the residuals say, with sentences for people in `text`.
+
+    same: sensors and inputs that are recorded, and so the same in every run.
+    """
     states, sensors, text = dict[str, Any](), dict[str, dict[str, Any]](), list[str]()
     for name, row in summary["estimators"].items():
         runs = found.rows[name]
@@ -163,6 +168,11 @@ def verdict(summary: Mapping[str, Any], found: Collected, scenario: Scenario) ->
     if best and causes:
         text.append(_unexplained(best, found.rows[best], summary["estimators"][best], noises))
     text += _cautioned(summary)
+    if same:
+        text.append(
+            f"Recorded, and so the same in every run: {', '.join(same)}. What they err by does not"
+            " average out over runs, as intervals and bands take it to."
+        )
     text.append(_closing(summary, states, sensors, best, causes))
     return {
         "states": states,
