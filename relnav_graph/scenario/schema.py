@@ -17,15 +17,14 @@ from relnav_graph.errors import InputError, ModelError
 from relnav_graph.registry import find_class
 from relnav_graph.scenario.scores import ScoreSettings
 from relnav_graph.scenario.settings import (
-    STRICT,
     BlockPrior,
     Bound,
     DataSettings,
     GapSettings,
     OnlineSettings,
     StampSettings,
-    TimeSettings,
 )
+from relnav_graph.scenario.time_settings import STRICT, TimeSettings
 
 __all__ = ["ScenarioError", "ScenarioFile"]
 

@@ -10,11 +10,11 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from relnav_graph.errors import InputError
 from relnav_graph.maths.losses import LossKind
-from relnav_graph.scenario.time_settings import STRICT, Seconds, TimeSettings
+from relnav_graph.scenario.time_settings import STRICT, Seconds
 from relnav_graph.sim.sensors import Law, Timing
 from relnav_graph.units import Quantity, parse_quantity
 
-__all__ = ["BlockPrior", "GapSettings", "SensorOptions", "TimeSettings", "besides"]
+__all__ = ["BlockPrior", "GapSettings", "SensorOptions", "besides"]
 
 
 def _checked_bound(value: float | str) -> float | str:
