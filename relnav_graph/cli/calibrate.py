@@ -41,14 +41,14 @@ def as_object(found: Calibration) -> dict[str, Any]:
             }
             for m in found.mounts
         },
-        "lags": {
-            lag.input: {
-                "unit": "s",
-                "value": lag.value,
-                "sigma": lag.sigma if np.isfinite(lag.sigma) else None,
-                "told": lag.told,
+        "parameters": {
+            p.parameter.name: {
+                "unit": p.parameter.unit,
+                "value": p.value,
+                "sigma": p.sigma if np.isfinite(p.sigma) else None,
+                "told": p.told,
             }
-            for lag in found.lags
+            for p in found.parameters
         },
         "residuals": {"before": found.before, "after": found.after},
     }
@@ -65,10 +65,10 @@ def as_text(found: Calibration) -> str:
         axes = "".join(axis for axis, told in zip("xyz", m.told, strict=True) if not told)
         why = "held, not estimated" if m.held else f"not told: {axes}" if axes else "told"
         lines.append(f"{m.block.name:<28} {numbers} {unit:<4} {why}")
-    for lag in found.lags:
-        told = "told" if lag.told else "not told"
-        name = f"lag of {lag.input}"
-        lines.append(f"{name:<28} {1e3 * lag.value:9.3f} +- {1e3 * lag.sigma:.3f} ms   {told}")
+    for p in found.parameters:
+        told = "told" if p.told else "not told"
+        name, unit = p.parameter.name, p.parameter.unit
+        lines.append(f"{name:<28} {p.value:9.6g} +- {p.sigma:.3g} {unit:<4} {told}")
     lines.append(f"mean square of the residuals, in sigmas: {found.before:.4g}, {found.after:.4g}")
     return "\n".join(lines)
 
@@ -92,6 +92,7 @@ def as_toml(found: Calibration, command: str) -> str:
 @click.option("--data", type=click.Path(path_type=Path), help="Recorded pass; else one is drawn.")
 @click.option("--sensor", "sensors", multiple=True, help="Mounting to find; default: all.")
 @click.option("--lag", "inputs", multiple=True, help="Input whose lag to find; default: all.")
+@click.option("--setting", "settings", multiple=True, help="Other number to find, by its path.")
 @click.option("--no-lags", is_flag=True, help="Leave the lags as the scenario has them.")
 @click.option("--without-truth", is_flag=True, help="Use the measurements alone.")
 @click.option("--lever-arms", is_flag=True, help="With --without-truth: lever arms, too.")
@@ -104,6 +105,7 @@ def command(
     data: Path | None,
     sensors: tuple[str, ...],
     inputs: tuple[str, ...],
+    settings: tuple[str, ...],
     no_lags: bool,
     without_truth: bool,
     lever_arms: bool,
@@ -125,6 +127,7 @@ def command(
         opened,
         sensors or None,
         () if no_lags else inputs or None,
+        settings,
         arms=True if lever_arms else None,
         truth=not without_truth,
     )

@@ -1,12 +1,13 @@
 """How sensors are mounted and how late inputs are, from a pass: values that other passes hold.
 
 The mounting of a sensor is static blocks of the state. What makes it observable is the truth, as
-measurements of the pose with the noise that the truth has. The lag of an input is no state: the
-pass is smoothed with several, and the posterior, with all states at their most likely values, is
-nearly a parabola in the lags. Its minimum and curvature give lags and covariance, and how the
-mounting follows the lags tells how their covariance adds to that of the mounting:
+measurements of the pose with the noise that the truth has. The lag of an input is no state, nor is
+any other number of a scenario, such as the baseline of a camera: the pass is smoothed with several,
+and the posterior, with all states at their most likely values, is nearly a parabola in these
+parameters. Its minimum and curvature give values and covariance, and how the mounting follows them
+tells how their covariance adds to that of the mounting:
 
-    P_m = P_m|lag + D P_lag D^T,  D = dm / dlag
+    P_m = P_m|p + D P_p D^T,  D = dm / dp
 """
 
 from __future__ import annotations
@@ -20,21 +21,21 @@ from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Mountable, Sensor
-from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.measurement import Measurement, Stamps
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.weights import residual_weights
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.runs.lag_search import LagSearch
+from relnav_graph.runs.parameter_search import Parameter, ParameterSearch
 from relnav_graph.runs.passes import Pass
 from relnav_graph.scenario.build import MOUNTED, make_scenario
 from relnav_graph.scenario.priors import prior_sigma
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.toml import merge
 
-__all__ = ["Calibration", "LagFound", "MountFound", "calibrate", "tables_of"]
+__all__ = ["Calibration", "MountFound", "ParameterFound", "calibrate", "tables_of"]
 
 #: The sensor that the truth becomes, and what is known of a mounting where the prior says nothing.
 TRUTH, ROTATION, ARM = "measured_truth", "10 deg", "0.5 m"
@@ -59,10 +60,10 @@ class MountFound:
 
 
 @dataclass(frozen=True)
-class LagFound:
-    """Lag of an input and its sigma, s; told: whether that is shorter than a sample."""
+class ParameterFound:
+    """A parameter, its value and sigma, SI; told: whether that is a small change of it."""
 
-    input: str
+    parameter: Parameter
     value: float
     sigma: float
     told: bool
@@ -70,7 +71,7 @@ class LagFound:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a pass says of mountings and lags.
+    """What a pass says of mountings, lags and other parameters.
 
     sensors: the fields of each that say how it is mounted, as they were found, by name; truth:
     whether that was used; before, after: mean squared whitened residual of the measurements that
@@ -80,7 +81,7 @@ class Calibration:
     scenario: str
     sensors: Mapping[str, Mapping[str, Array]]
     mounts: tuple[MountFound, ...]
-    lags: tuple[LagFound, ...]
+    parameters: tuple[ParameterFound, ...]
     truth: bool
     before: float = np.nan
     after: float = np.nan
@@ -90,6 +91,7 @@ def calibrate(
     opened: Pass,
     sensors: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
+    settings: Sequence[str] = (),
     *,
     arms: bool | None = None,
     truth: bool = True,
@@ -97,7 +99,8 @@ def calibrate(
     """Mountings and lags that a pass says.
 
     sensors: those whose mounting is to be found, by default all that have one; inputs: those whose
-    lag is, by default all; arms: whether lever arms are estimated, by default where the truth is
+    lag is, by default all; settings: paths of other numbers to be found, of sensors or processes
+    ("sensors.camera.baseline"); arms: whether lever arms are estimated, by default where the truth is
     used: without it they may run away; truth: whether it is used, as measurements of the pose with
     the scenario's [truth_noise].
 
@@ -113,16 +116,17 @@ def calibrate(
         tables = merge(tables, {"sensors": {TRUTH: posed}})
         made = make_scenario(tables, scenario.name)
         recording = _with_truth(made, recording)
-    search = LagSearch(tables, scenario.name, recording, opened, tuple(inputs))
-    lags, P_lags, track = search.minimum()
-    slopes = search.slopes(lags, track)
-    mounts = tuple(_mounts(search.scenario(lags), sensors, arms, track, slopes, P_lags))
-    every = zip(inputs, lags, np.sqrt(np.diag(P_lags)), search.samples, strict=True)
+    parameters = *_lags(scenario, recording, inputs), *(_setting(scenario, n) for n in settings)
+    search = ParameterSearch(tables, scenario.name, recording, opened, parameters)
+    values, P, track = search.minimum()
+    slopes = search.slopes(values, track)
+    every = zip(parameters, values, np.sqrt(np.diag(P)), strict=True)
+    mounts = tuple(_mounts(search.scenario(values), sensors, arms, track, slopes, P))
     found = Calibration(
         scenario.name,
         {name: _fields(scenario.sensors[name], mounts) for name in sensors},
         mounts,
-        tuple(LagFound(n, float(v), float(s), bool(s < dt)) for n, v, s, dt in every),
+        tuple(ParameterFound(p, float(v), float(s), bool(s < p.small)) for p, v, s in every),
         truth,
     )
     misfits = [_misfit(scenario, opened)]
@@ -146,8 +150,35 @@ def tables_of(found: Calibration) -> dict[str, Any]:
         for m in found.mounts
         if not m.held
     }
-    lags = {lag.input: {"lag": lag.value} for lag in found.lags if lag.told}
-    return {"sensors": sensors, "prior": priors, "stamps": lags}
+    tables: dict[str, Any] = {"sensors": sensors, "prior": priors}
+    for one in found.parameters:
+        if one.told:
+            tables = merge(tables, one.parameter.tables(one.value))
+    return tables
+
+
+def _lags(scenario: Scenario, recording: Recording, inputs: Sequence[str]) -> Iterator[Parameter]:
+    """The lag of each input; small against a sample of it."""
+    for name in inputs:
+        series, known = recording.inputs[name], scenario.stamps.get(name, Stamps())
+        sample = float(np.median(series.t_end - series.t_start))
+        yield Parameter(("stamps", name, "lag"), known.lag, sample, "s")
+
+
+def _setting(scenario: Scenario, path: str) -> Parameter:
+    """A number of a sensor or process, by its path; small: 2 % of it. Raises InputError on what is
+    none."""
+    parts = tuple(path.split("."))
+    models = {"sensors": scenario.sensors, "processes": scenario.processes}
+    model = models.get(parts[0], {}).get(parts[1]) if len(parts) == 3 else None
+    value = getattr(model, parts[-1], None)
+    quantity = quantities(type(model)).get(parts[-1]) if model is not None else None
+    if quantity is None or not isinstance(value, float) or not value:
+        raise InputError(
+            f"{scenario.name}: found the setting {path!r}, expected a number of a sensor or a"
+            ' process, not zero, like "sensors.camera.baseline"'
+        )
+    return Parameter(parts, value, 0.02 * abs(value), quantity.unit)
 
 
 def _chosen(
@@ -250,13 +281,13 @@ def _mounts(
     arms: bool,
     track: Track,
     slopes: Array,
-    P_lags: Array,
+    P_parameters: Array,
 ) -> Iterator[MountFound]:
-    """The static blocks of the mountings, with the covariance that lags add."""
+    """The static blocks of the mountings, with the covariance that parameters add."""
     if track.statics is None:
         return
     layout, statics, seen = track.statics.layout, track.statics, set[str]()
-    finite = np.where(np.isfinite(P_lags), P_lags, 0.0)
+    finite = np.where(np.isfinite(P_parameters), P_parameters, 0.0)
     P = statics.P[-1] + slopes @ finite @ slopes.T
     for name in sensors:
         for block in _blocks(scenario.sensors[name]):
