@@ -17,7 +17,16 @@ import numpy as np
 
 from relnav_graph.errors import InputError
 
-__all__ = ["Quantity", "check_fields", "column_unit", "convert", "parse_quantity", "unit_scale"]
+__all__ = [
+    "Quantity",
+    "check_fields",
+    "column_unit",
+    "convert",
+    "parse_quantity",
+    "quantities",
+    "unit_of",
+    "unit_scale",
+]
 
 
 # Symbol -> (scale to SI, exponents of base units). Angles are dimensional on purpose:
@@ -127,6 +136,15 @@ def parse_quantity(value: Any, si: str) -> float:
     return number
 
 
+def unit_of(value: Any, si: str) -> str:
+    """The unit in which a value of a scenario file is given, of lists that of the first element; a
+    number is in SI."""
+    if isinstance(value, (list, tuple)) and value:
+        return unit_of(value[0], si)
+    match = _NUMBER.fullmatch(value) if isinstance(value, str) else None
+    return match[2].strip() if match and match[2].strip() else si
+
+
 def _parse_nested(value: Any, si: str) -> Any:
     if isinstance(value, (list, tuple)):
         return [_parse_nested(item, si) for item in value]
@@ -207,7 +225,8 @@ def _choices(cls: type) -> dict[str, tuple[Any, ...]]:
 
 
 @cache
-def _quantities(cls: type) -> dict[str, Quantity]:
+def quantities(cls: type) -> dict[str, Quantity]:
+    """The fields of a model that are quantities, by name."""
     hints = get_type_hints(cls, include_extras=True)
     found = {}
     for name, hint in hints.items():
@@ -225,7 +244,7 @@ def check_fields(instance: Any) -> None:
 
     Call it in ``__post_init__``. Raises InputError with the name of the field.
     """
-    quantities = _quantities(type(instance))  # type: ignore[arg-type]
+    known = quantities(type(instance))  # type: ignore[arg-type]
     choices = _choices(type(instance))  # type: ignore[arg-type]
     for field in dataclasses.fields(instance):
         value = getattr(instance, field.name)
@@ -234,9 +253,9 @@ def check_fields(instance: Any) -> None:
                 f"{type(instance).__name__}.{field.name}: found {value!r},"
                 f" expected one of {choices[field.name]}"
             )
-        if field.name in quantities and value is not None:
+        if field.name in known and value is not None:
             try:
-                checked = quantities[field.name].check(value)
+                checked = known[field.name].check(value)
             except InputError as error:
                 raise InputError(f"{type(instance).__name__}.{field.name}: {error}") from error
             object.__setattr__(instance, field.name, checked)

@@ -23,6 +23,7 @@ COMMANDS = {
     "smooth": "Smooth the recorded pass of a data set.",
     "explain": "Say, before any data, what the sensors of a scenario can tell.",
     "study": "Make many runs of a scenario and say what they show together.",
+    "tune": "Find noise parameters from the residuals of a pass.",
     "report": "Write one HTML file on a study or a comparison.",
     "calibrate": "Find from a pass how sensors are mounted, and how late inputs are.",
     "validate": "Check a scenario or a data set: every error, with its path.",

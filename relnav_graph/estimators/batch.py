@@ -24,7 +24,7 @@ from relnav_graph.estimators.trust import gave_up
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths.losses import Loss
 
-__all__ = ["Batch"]
+__all__ = ["Batch", "begun"]
 
 
 def _filtered(problem: Problem) -> FilterSweep:
@@ -38,7 +38,7 @@ def _filtered(problem: Problem) -> FilterSweep:
     return done if robust.stopped else robust
 
 
-def _begun(problem: Problem) -> tuple[Assembly, Array, Array]:
+def begun(problem: Problem) -> tuple[Assembly, Array, Array]:
     """All epochs, and a trajectory (N, size) and weights (observations,) to start from: of the
     iterated filter and its smoother; of the incremental smoother where there is a map to make, of
     which a filter makes a bad one. Raises EstimationError when there is none."""
@@ -77,7 +77,7 @@ class Batch:
         nothing = np.full((count, layout.size), np.nan), np.full((count, *2 * [layout.dim]), np.nan)
         ended = estimates(layout, *nothing)
         try:
-            assembly, begin, weights = _begun(problem)
+            assembly, begin, weights = begun(problem)
             solution = solve_gated(assembly, problem, begin, weights)
             near = is_small(solution.distance, solution.conditionals.states)
             unconverged = None if near else solution.distance

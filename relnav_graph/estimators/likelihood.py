@@ -22,8 +22,8 @@ def posterior_cost(problem: Problem, x: Array) -> float:
 
         rho(W r) - ln det W,  |W e|^2 / 2 - ln det W,  |W_0 e_0|^2 / 2
 
-    W: whitening of the noise, of intervals at x. A gate counts what it leaves out as at its edge; an
-    observation that is impossible at x does not count.
+    W: whitening of the noise, of intervals at x. A gate counts what it leaves out as at its edge;
+    an observation that is impossible at x does not count.
     Raises EstimationError, or ModelError, where the models cannot be evaluated.
     """
     assembly = Assembly.of(problem)
@@ -33,11 +33,8 @@ def posterior_cost(problem: Problem, x: Array) -> float:
     squares = np.add.reduceat(rows.r**2, np.cumsum(assembly.heights) - assembly.heights)
     squares = np.minimum(squares, thresholds(assembly, problem.gates))
     losses = loss_costs(losses_of(assembly, problem.losses), squares / assembly.heights)
-    counted = (losses * assembly.heights)[rows.status == 0]
-    logs = (
-        np.log(np.einsum("kii->ki", whiten)).sum() + _log_weights(assembly)[rows.status == 0].sum()
-    )
-    return float(system.cost + counted.sum() - logs)
+    counted = (losses * assembly.heights - _log_weights(assembly))[rows.status == 0]
+    return float(system.cost + counted.sum() - np.log(np.einsum("kii->ki", whiten)).sum())
 
 
 def _log_weights(assembly: Assembly) -> Array:

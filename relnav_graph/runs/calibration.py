@@ -34,6 +34,7 @@ from relnav_graph.scenario.build import MOUNTED, make_scenario
 from relnav_graph.scenario.priors import prior_sigma
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.toml import merge
+from relnav_graph.units import quantities
 
 __all__ = ["Calibration", "MountFound", "ParameterFound", "calibrate", "tables_of"]
 
@@ -100,9 +101,9 @@ def calibrate(
 
     sensors: those whose mounting is to be found, by default all that have one; inputs: those whose
     lag is, by default all; settings: paths of other numbers to be found, of sensors or processes
-    ("sensors.camera.baseline"); arms: whether lever arms are estimated, by default where the truth is
-    used: without it they may run away; truth: whether it is used, as measurements of the pose with
-    the scenario's [truth_noise].
+    ("sensors.camera.baseline"); arms: whether lever arms are estimated, by default where the truth
+    is used: without it they may run away; truth: whether it is used, as measurements of the pose
+    with the scenario's [truth_noise].
 
     Raises InputError on names that are none, when there is nothing to calibrate, or no truth, or
     no noise of it; EstimationError when the pass cannot be smoothed.

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["ALIGNMENT", "consistency_lines", "explain_table", "study_table", "table"]
+__all__ = [
+    "ALIGNMENT",
+    "aligned_columns",
+    "consistency_lines",
+    "explain_table",
+    "study_table",
+    "table",
+]
 
 
 def _text(value: float | None, form: str = ".4g") -> str:
@@ -14,7 +21,7 @@ def _text(value: float | None, form: str = ".4g") -> str:
     return format(value, form if abs(value) < 1e5 else ".2e")
 
 
-def _aligned(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
+def aligned_columns(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
     """Columns named in `header` (split at "|"), words to the left, numbers to the right.
 
     A column is at least as wide as its name; one whose name ends in a space is of words.
@@ -97,7 +104,7 @@ def table(summary: Mapping[str, Any]) -> str:
     title += "" if summary["seed"] is None else f", seed {summary['seed']}"
     overview = [_overview(name, row) for name, row in rows.items()]
     header = "estimator |kind |status |run time s|step ms|ANEES|95 % band|apart|rejected "
-    lines = [title, "", *_aligned(header, overview)]
+    lines = [title, "", *aligned_columns(header, overview)]
     lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
     lines += consistency_lines(summary)
     lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
@@ -109,7 +116,7 @@ def table(summary: Mapping[str, Any]) -> str:
             if state in row["states"]
         ]
         header = "estimator |kind     |     rmse|rmse last|  1-sigma|   ANEES|inside 3-sigma"
-        lines += ["", _with_unit(state, unit), *_aligned(header, block)]
+        lines += ["", _with_unit(state, unit), *aligned_columns(header, block)]
     lines += _constants(rows, "constants, as at the last epoch", ("error", "1-sigma"))
     lines += _aligned_maps(rows)
     return "\n".join(lines) + "\n"
@@ -176,7 +183,7 @@ def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> l
     ]
     numbers = "|".join(f"{c:>9}" for c in (*columns, "ANEES"))
     header = f"constant |estimator |kind     |{numbers}|95 % band"
-    return ["", title, *_aligned(header, table)] if table else []
+    return ["", title, *aligned_columns(header, table)] if table else []
 
 
 #: Numbers of an alignment, and how the table calls them.
@@ -205,7 +212,7 @@ def _aligned_maps(rows: Mapping[str, Any]) -> list[str]:
         found = (one["states"].get(state, {}).get("rmse") for one in having.values())
         table.append([f"{_with_unit(state, unit)}, rmse", *map(_text, found)])
     title = "after one rigid alignment of each map, as at the last epoch, to the true one"
-    return ["", title, *_aligned("error |" + "|".join(f"{n:>9}" for n in having), table)]
+    return ["", title, *aligned_columns("error |" + "|".join(f"{n:>9}" for n in having), table)]
 
 
 def _study_overview(name: str, row: Mapping[str, Any]) -> list[str]:
@@ -247,7 +254,7 @@ def study_table(summary: Mapping[str, Any]) -> str:
     title = f"{summary['scenario']}: {summary['runs']} runs of {summary['epochs']} epochs"
     header = "estimator |kind |status |runs|run time s|ANEES|95 % band"
     lines = [f"{title}, seed {seed}", ""]
-    lines += _aligned(header, [_study_overview(name, row) for name, row in rows.items()])
+    lines += aligned_columns(header, [_study_overview(name, row) for name, row in rows.items()])
     lines += consistency_lines(summary)
     lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
     width = max(map(len, ["estimator", *rows]))
@@ -257,7 +264,7 @@ def study_table(summary: Mapping[str, Any]) -> str:
             for name, row in rows.items()
             if state in row["states"]
         ]
-        lines += ["", _with_unit(state, unit), *_aligned(_STUDY_STATE, block)]
+        lines += ["", _with_unit(state, unit), *aligned_columns(_STUDY_STATE, block)]
     columns = ("rmse", "1-sigma", "bound", "rmse/bound")
     lines += _constants(rows, "constants, as at the last epoch", columns)
     lines += _aligned_maps(rows)
@@ -309,10 +316,12 @@ def explain_table(found: Mapping[str, Any]) -> str:
     moving = {n: s for n, s in found["states"].items() if n not in found.get("statics", {})}
     states = _predicted(moving)
     lines += ["", "Predicted 1-sigma (norm over the axes, root mean square over the pass)"]
-    lines += _aligned("state |    prior|   filter| smoother", states)
+    lines += aligned_columns("state |    prior|   filter| smoother", states)
     if "statics" in found:
         lines += ["", "Predicted 1-sigma of constants (norm over the axes), as at the last epoch"]
-        lines += _aligned("constant |    prior|   filter| smoother", _predicted(found["statics"]))
+        lines += aligned_columns(
+            "constant |    prior|   filter| smoother", _predicted(found["statics"])
+        )
     directions = [
         [
             f"{d['direction']} [{d['unit']}]",
@@ -322,11 +331,11 @@ def explain_table(found: Mapping[str, Any]) -> str:
     ]
     if directions:
         lines += ["", "Predicted 1-sigma along directions that the models name"]
-        lines += _aligned("direction |    prior|filter, last|smoother, middle", directions)
+        lines += aligned_columns("direction |    prior|filter, last|smoother, middle", directions)
     if "target" in found:
         lines += ["", "What the data tell of the target, 1-sigma of a smoother"]
         lines += [f"  {text}" for text in found["target"]]
     lines += ["", "Weak directions of the first epoch (smoothed sigma in parts of the prior's)"]
     weak = [[w["direction"], w["verdict"], f"{w['kept']:.2f}"] for w in found["weak"]]
-    lines += _aligned("direction |verdict |kept", weak) if weak else ["  none"]
+    lines += aligned_columns("direction |verdict |kept", weak) if weak else ["  none"]
     return "\n".join(lines) + "\n"

@@ -25,7 +25,15 @@ from relnav_graph.linear.conditionals import anchor_of
 from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.gtsam_chain import Rows, chain_factors, chain_rows, eliminate
 
-__all__ = ["NoiseResiduals", "estimate_factors", "noise_residuals"]
+__all__ = [
+    "Groups",
+    "NoiseResiduals",
+    "coupling",
+    "estimate_factors",
+    "noise_residuals",
+    "process_groups",
+    "residuals_after",
+]
 
 #: The prior is a group too: what it says is part of what the residuals say.
 PRIOR = "prior"
@@ -44,7 +52,7 @@ class NoiseResiduals:
     coupling: Array | None = None
 
 
-def _process_groups(processes: Mapping[str, Dynamics], assembly: Assembly) -> Mapping[int, str]:
+def process_groups(processes: Mapping[str, Dynamics], assembly: Assembly) -> Mapping[int, str]:
     """The group of each error state, as the noise that drives it."""
     found = dict[int, str]()
     for name, process in processes.items():
@@ -56,7 +64,7 @@ def _process_groups(processes: Mapping[str, Dynamics], assembly: Assembly) -> Ma
 
 
 @dataclass(frozen=True, eq=False)
-class _Groups:
+class Groups:
     """Names of the groups, and to which each row of the measurements and each column of
     the process rows belongs."""
 
@@ -73,15 +81,15 @@ class _Groups:
         return out
 
 
-def _groups(problem: Problem, assembly: Assembly) -> _Groups:
-    of_state, n = _process_groups(problem.processes, assembly), assembly.layout.moving.dim
+def _groups(problem: Problem, assembly: Assembly) -> Groups:
+    of_state, n = process_groups(problem.processes, assembly), assembly.layout.moving.dim
     names = [f"sensors.{s}" for s in assembly.sensor_names]
     names += [PRIOR, *dict.fromkeys(of_state[i] for i in range(n))]
     of_process = np.array([names.index(of_state[i]) for i in range(n)])
-    return _Groups(names, np.repeat(assembly.sensor_of, assembly.heights), of_process)
+    return Groups(names, np.repeat(assembly.sensor_of, assembly.heights), of_process)
 
 
-def _residuals(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
+def residuals_after(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
     """Whitened residuals of prior, process and measurements after the step d (N, n + m), n of the
     blocks that move, m of the static ones, the same in all rows."""
     q, m = rows.process, rows.measurements
@@ -93,8 +101,8 @@ def _residuals(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
     )
 
 
-def _coupling(
-    rows: Rows, groups: _Groups, used: NDArray[np.bool_], rng: np.random.Generator
+def coupling(
+    rows: Rows, groups: Groups, used: NDArray[np.bool_], rng: np.random.Generator
 ) -> Array:
     """T (groups, groups), estimated with random signs z (Hutchinson 1990).
 
@@ -113,7 +121,7 @@ def _coupling(
             measurements=replace(m, r=measured * (used & (groups.of_measurement == j))),
         )
         d = eliminate(chain_factors(probe), count, n, len(rows.e) - n).solution()
-        out[:, j] = groups.sums(*(e**2 for e in _residuals(probe, d)))
+        out[:, j] = groups.sums(*(e**2 for e in residuals_after(probe, d)))
     return out
 
 
@@ -136,10 +144,10 @@ def noise_residuals(
     system = linearize(assembly, anchor, x, whiten, weights)
     rows = chain_rows(assembly, anchor, x, whiten, weights)
     groups, used = _groups(problem, assembly), assembly.rows_of(weights > 0)
-    squares = groups.sums(*(e**2 for e in _residuals(rows, system.conditionals.solution())))
-    coupling = None if rng is None else _coupling(rows, groups, used, rng)
+    squares = groups.sums(*(e**2 for e in residuals_after(rows, system.conditionals.solution())))
+    T = None if rng is None else coupling(rows, groups, used, rng)
     by_name = dict(zip(groups.names, squares.tolist(), strict=True))
-    return NoiseResiduals(by_name, system.cost, coupling)
+    return NoiseResiduals(by_name, system.cost, T)
 
 
 def _of_mean(samples: Array) -> Array:

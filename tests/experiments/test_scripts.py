@@ -52,6 +52,14 @@ def test_tumbling_rates_finds_the_graph_consistent() -> None:
     assert max(found["ukf"]) > max(found["iukf"])
 
 
+def test_tune_check_finds_a_gyro_noise_declared_wrong() -> None:
+    found = _script("tune_check").main(passes=2, epochs=200, jobs=1)
+    for wrong, row in found.items():
+        assert row["told"] == 2, wrong
+        assert abs(row["median"] - 1) < 0.15, wrong
+        assert row["inside"] >= 0.5, wrong
+
+
 def test_published_claims_rank_the_integrators(capsys: pytest.CaptureFixture[str]) -> None:
     found = _script("published_claims").main(runs=2, epochs=100)
     attitude = [
