@@ -171,7 +171,7 @@ def _setting(scenario: Scenario, path: str) -> Parameter:
     none."""
     parts = tuple(path.split("."))
     models = {"sensors": scenario.sensors, "processes": scenario.processes}
-    model = models.get(parts[0], {}).get(parts[1]) if len(parts) == 3 else None
+    model: Any = models.get(parts[0], {}).get(parts[1]) if len(parts) == 3 else None
     value = getattr(model, parts[-1], None)
     quantity = quantities(type(model)).get(parts[-1]) if model is not None else None
     if quantity is None or not isinstance(value, float) or not value:
