@@ -149,7 +149,7 @@ def tables_of(found: Calibration) -> dict[str, Any]:
             "considered": True,
         }
         for m in found.mounts
-        if not m.held
+        if m.told.any()
     }
     tables: dict[str, Any] = {"sensors": sensors, "prior": priors}
     for one in found.parameters:
@@ -173,7 +173,7 @@ def _setting(scenario: Scenario, path: str) -> Parameter:
     models = {"sensors": scenario.sensors, "processes": scenario.processes}
     model: Any = models.get(parts[0], {}).get(parts[1]) if len(parts) == 3 else None
     value = getattr(model, parts[-1], None)
-    quantity = quantities(type(model)).get(parts[-1]) if model is not None else None
+    quantity = quantities(model.__class__).get(parts[-1]) if model is not None else None
     if quantity is None or not isinstance(value, float) or not value:
         raise InputError(
             f"{scenario.name}: found the setting {path!r}, expected a number of a sensor or a"
@@ -304,9 +304,10 @@ def _mounts(
 
 
 def _fields(sensor: Sensor, mounts: Sequence[MountFound]) -> dict[str, Array]:
-    """How the sensor was found to be mounted, by its fields."""
+    """How the sensor was found to be mounted, by its fields: those that the pass tells."""
     assert isinstance(sensor, Mountable)
-    return sensor.mounting_fields({m.block.name: m.value for m in mounts if not m.held})
+    fields = sensor.mounting_fields({m.block.name: m.value for m in mounts if m.told.any()})
+    return {n: v for n, v in fields.items() if not np.array_equal(v, getattr(sensor, n))}
 
 
 def _misfit(scenario: Scenario, opened: Pass) -> float:
