@@ -115,7 +115,7 @@ def calibrate(
     if truth:
         posed = _truth_tables(scenario, recording)
         tables = merge(tables, {"sensors": {TRUTH: posed}})
-        made = make_scenario(tables, scenario.name)
+        made = make_scenario(tables, scenario.name, {})
         recording = _with_truth(made, recording)
     parameters = *_lags(scenario, recording, inputs), *(_setting(scenario, n) for n in settings)
     search = ParameterSearch(tables, scenario.name, recording, opened, parameters)
@@ -131,7 +131,7 @@ def calibrate(
         truth,
     )
     misfits = [_misfit(scenario, opened)]
-    with_it = make_scenario(merge(scenario.raw, tables_of(found)), scenario.name)
+    with_it = make_scenario(merge(scenario.raw, tables_of(found)), scenario.name, {})
     return replace(found, before=misfits[0], after=_misfit(with_it, opened))
 
 
@@ -219,7 +219,7 @@ def _freed(scenario: Scenario, sensors: Sequence[str], arms: bool) -> dict[str, 
             wide = {"sigma": ROTATION if rotation else ARM, "mean": [0.0, 0.0, 0.0]}
             given = scenario.file.prior.get(block.name)
             if not rotation and not arms:
-                own["prior"][block.name] = {**wide, "sigma": "1 um", "considered": True}
+                own["prior"][block.name] = {**wide, "sigma": "1e-6 m", "considered": True}
             elif given is None or given.considered:
                 own["prior"][block.name] = {**wide, "considered": False}
     return merge(scenario.raw, own)

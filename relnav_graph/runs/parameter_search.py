@@ -74,7 +74,7 @@ class ParameterSearch:
         tables = dict(self.tables)
         for parameter, value in zip(self.parameters, values, strict=True):
             tables = merge(tables, parameter.tables(float(value)))
-        return make_scenario(tables, self.name)
+        return make_scenario(tables, self.name, {})  # what data bring is in them
 
     def at(self, values: Array) -> tuple[float, Track]:
         """The cost at values (k,), SI, and the smoothed pass. Raises EstimationError where there is
