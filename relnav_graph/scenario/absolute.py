@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping
+from datetime import date
 from typing import Any
 
 from relnav_graph.core.absolute_time import AbsoluteTime
@@ -108,7 +109,8 @@ def in_pass_time(
     def changed(path: str, value: Any) -> Any:
         if isinstance(value, Mapping):
             return {k: changed(f"{path}.{k}", v) for k, v in value.items()}
-        dated = path.endswith(".epoch") and isinstance(value, str) and _DATE.match(value)
-        return seconds(path, value) if dated else value
+        text = value.isoformat() if isinstance(value, date) else value
+        dated = path.endswith(".epoch") and isinstance(text, str) and _DATE.match(text)
+        return seconds(path, text) if dated else value
 
     return {k: changed(k, v) if k in _TABLES else v for k, v in raw.items()}

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from datetime import date
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from relnav_graph.core.epochs import LONGEST, unit_hint
 from relnav_graph.core.measurement import SAME_TIME
-from relnav_graph.maths.instants import Instant
+from relnav_graph.errors import InputError
+from relnav_graph.maths.instants import EXAMPLE, Instant
 from relnav_graph.units import Quantity
 
 __all__ = ["STRICT", "Seconds", "TimeSettings"]
@@ -17,7 +19,11 @@ STRICT = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 Seconds = Annotated[float, Quantity("s", positive=True)]
 
 
-def _instant(text: str) -> str:
+def _instant(found: Any) -> str:
+    """The text of an absolute time; TOML's own dates, which know no scale, are refused alike."""
+    text = found.isoformat() if isinstance(found, date) else found
+    if not isinstance(text, str):
+        raise InputError(f"found {found!r}, expected an absolute time as {EXAMPLE}")
     Instant.parse(text)
     return text
 
@@ -43,7 +49,7 @@ class TimeSettings(BaseModel):
 
     step: Seconds | None = None
     epochs: int | None = Field(default=None, ge=1)
-    epoch: Annotated[str, AfterValidator(_instant)] | None = None
+    epoch: Annotated[str, BeforeValidator(_instant)] | None = None
     orientation: str | None = None
     origin: Annotated[float, Quantity("s")] = 0.0
     merge: Annotated[float, Quantity("s", nonnegative=True)] = SAME_TIME

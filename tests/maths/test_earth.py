@@ -65,7 +65,7 @@ def test_a_leap_second_is_counted() -> None:
         ("2021-07-17 TT", "expected a date, a time and a scale"),
     ],
 )
-def test_row_39_times_that_say_too_little(text: str, says: str) -> None:
+def test_row_59_times_that_say_too_little(text: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         Instant.parse(text)
 
@@ -132,13 +132,13 @@ def test_finals_of_the_iers_are_read_across_a_leap_second() -> None:
         (lambda text: "MJD,UT1\n", "no row of a finals2000A file"),
     ],
 )
-def test_row_39_tables_of_orientation_that_are_wrong(change: object, says: str) -> None:
+def test_row_59_tables_of_orientation_that_are_wrong(change: object, says: str) -> None:
     text = "\n".join(_line(mjd, 0.1, 0.3, -0.13) for mjd in (59412.0, 59413.0, 59414.0))
     with pytest.raises(InputError, match=says):
         read_finals(change(text), "finals")  # type: ignore[operator]
 
 
-def test_row_39_a_table_that_ends_too_early() -> None:
+def test_row_59_a_table_that_ends_too_early() -> None:
     text = "\n".join(_line(mjd, 0.1, 0.3, -0.13) for mjd in (59412.0, 59413.0))
     begin, r = Instant.parse("2021-07-17T12:00:00 UTC"), np.ones((2, 3))
     with pytest.raises(InputError, match="found days 59412 to 59413, expected the time from 2021"):

@@ -27,6 +27,7 @@ from relnav_factors.sensors.pose_odometry import PoseOdometry
 from relnav_factors.sensors.stereo_point import StereoPoint
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.absolute_time import AbsoluteTime
 from relnav_graph.maths import so3
 from relnav_graph.maths.orbit import KeplerOrbit
 
@@ -143,6 +144,14 @@ def copy(**options: Any) -> DynamicsExample:
     return DynamicsExample(PreviousPose(**options), constant(*[0.0] * 9), flow=False)
 
 
+#: Gravity that turns with the Earth, Sun and Moon.
+TURNING: dict[str, Any] = {
+    "order": 20,
+    "third_bodies": ("sun", "moon"),
+    "clock": AbsoluteTime("2021-07-17T00:00:00 TT"),
+}
+
+
 def orbit(degree: Any, **options: Any) -> DynamicsExample:
     walk = options.get("position_density", 0.0) ** 2
     model = OrbitTwoBody(acceleration_density=0.01, degree=degree, **options)
@@ -151,7 +160,8 @@ def orbit(degree: Any, **options: Any) -> DynamicsExample:
 
 def relative_two_body(degree: Any, **options: Any) -> DynamicsExample:
     model = RelativeTwoBody(acceleration_density=1e-3, degree=degree, **options)
-    companion = OrbitTwoBody(acceleration_density=0.01, degree=degree)
+    gravity = {name: options[name] for name in TURNING if name in options}
+    companion = OrbitTwoBody(acceleration_density=0.01, degree=degree, **gravity)
     return DynamicsExample(model, constant(0, 0, 0, 1e-6, 1e-6, 1e-6), {}, (companion,))
 
 

@@ -18,6 +18,7 @@ from example_makers import (
     LOW,
     MOUNTED,
     TRIANGLE,
+    TURNING,
     attitude_sensor,
     body_velocity,
     constant,
@@ -218,6 +219,7 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         orbit(0, position_density=0.1),
         orbit(4),
         orbit(2, max_step=2.5),
+        orbit(20, **TURNING),
     ),
     "previous_pose": (
         copy(),
@@ -227,6 +229,7 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "relative_two_body": (
         relative_two_body(0),
         relative_two_body(3, max_step=5.0),
+        relative_two_body(20, **TURNING),
     ),
     "three_point_attitude": (
         attitude_sensor(ThreePointAttitude(sigma=np.full(3, 3e-3), triangle=TRIANGLE)),

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.absolute_time import AbsoluteTime
 from relnav_graph.core.measurement import SAME_TIME
 from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
+from relnav_graph.maths.geopotential import geopotential
+from relnav_graph.sim.truths.earth_gravity import TurningEarth
 from relnav_graph.sim.truths.powered_dynamics import fly_orbits, sample_attitude, wobbled
 from relnav_graph.sim.truths.rigid_body_pair import OrbitElements, checked_times
 from relnav_graph.units import Quantity, check_fields
@@ -37,9 +40,9 @@ def nadir_attitude(r: Array, v: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PoweredOrbits(OrbitElements):
-    """Chaser and target under gravity with J2, J3, J4, each with an acceleration of its own
-    that wanders (Gauss-Markov); the chaser has a thruster. All holds at the start of the pass, but
-    the true anomaly at the epoch.
+    """Chaser and target under the Earth's gravity, by default with J2, J3, J4, each with an
+    acceleration of its own that wanders (Gauss-Markov); the chaser has a thruster. All holds at
+    the start of the pass, but the true anomaly at the epoch.
 
     semi_major_axis to argument_of_perigee (see
     `relnav_graph.sim.truths.rigid_body_pair.OrbitElements`): orbit of the target.
@@ -53,7 +56,11 @@ class PoweredOrbits(OrbitElements):
     earth_sensor_bias: rad, of both angles, constant; earth_sensor_sigma: rad, of what each drifts
     about that (Gauss-Markov), and earth_sensor_time_constant: s, of the drift.
 
-    Raises InputError on an orbit that is not an ellipse.
+    degree, order: of the Earth's field; an order of 0 and a degree of 4 are J2, J3, J4 about z of
+    i, anything else the field of EGM2008, that turns with the Earth; third_bodies: "sun", "moon".
+    These need the absolute time of t = 0, [time] epoch, which makes the clock.
+
+    Raises InputError on an orbit that is not an ellipse, or a field that there is not.
     """
 
     kind: ClassVar[str] = "powered_orbits"
@@ -73,18 +80,52 @@ class PoweredOrbits(OrbitElements):
     earth_sensor_sigma: Annotated[float, Quantity("rad", nonnegative=True)] = 0.0
     earth_sensor_time_constant: Annotated[float, Quantity("s", positive=True)] = 3600.0
     max_step: Annotated[float, Quantity("s", positive=True)] = 1.0
+    degree: int = 4
+    order: int = 0
+    third_bodies: tuple[Literal["sun", "moon"], ...] = ()
+    clock: AbsoluteTime | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.degree < 4:
+            raise InputError(f"degree: found {self.degree}, expected 4 or more of a truth")
+        geopotential().upto(self.degree, self.order)
         self.craft(0.0)  # it refuses what is no ellipse
+
+    @property
+    def turns(self) -> bool:
+        """Whether gravity depends on the time."""
+        return (self.degree, self.order) != (4, 0) or bool(self.third_bodies)
+
+    @property
+    def undated(self) -> bool:
+        """Whether the absolute time of t = 0 is needed, and missing."""
+        return self.turns and self.clock is None
+
+    @property
+    def earth(self) -> TurningEarth | None:
+        """The Earth as it turns; None where gravity does not depend on the time.
+
+        Raises InputError where the absolute time is missing, or cannot be used.
+        """
+        if not self.turns:
+            return None
+        if self.clock is None:
+            raise InputError("powered_orbits: found no absolute time of t = 0: give [time] epoch")
+        return TurningEarth(self.degree, self.order, self.third_bodies, self.clock)
 
     @property
     def source(self) -> str:
         """What it is, and what it leaves out."""
+        with_ = "J2, J3, J4"
+        if self.turns:
+            with_ = f"EGM2008 to {self.degree} x {self.order}"
+            with_ += "".join(f", {name.capitalize()}" for name in self.third_bodies)
+        missing = "other harmonics" if self.third_bodies else "other harmonics, third bodies"
         return (
-            "powered_orbits: both craft integrated in an inertial frame with J2, J3, J4 and"
+            f"powered_orbits: both craft integrated in an inertial frame with {with_} and"
             " wandering accelerations; the chaser's attitude is a given motion. Not modelled:"
-            " other harmonics, third bodies, propellant used, thruster errors, attitude control"
+            f" {missing}, propellant used, thruster errors, attitude control"
         )
 
     def craft(self, t: float) -> Array:
@@ -117,7 +158,7 @@ class PoweredFlight:
 
     def __init__(self, truth: PoweredOrbits, t: float, rng: np.random.Generator) -> None:
         self.t, self._truth, self._rng = t, truth, rng
-        self._y = truth.craft(t)
+        self._y, self._earth = truth.craft(t), truth.earth
         self._wandering = truth.acceleration_sigma * rng.standard_normal(6)
         self._clock = np.array([truth.clock_bias, truth.clock_drift])
         self._earth_drift = truth.earth_sensor_sigma * rng.standard_normal(2)
@@ -165,7 +206,10 @@ class PoweredFlight:
         held = np.concatenate([self._wandering[:3], pushed_i])
         check_steps("truth", h, truth.max_step)
         steps = max(1, int(np.ceil(h / truth.max_step * (1 - 1e-9))))
-        self._y = fly_orbits(self._y, held, h / steps, steps)
+        if self._earth is None:
+            self._y = fly_orbits(self._y, held, h / steps, steps)
+        else:
+            self._y = self._earth.fly(self._y, held, self.t, h / steps, steps)
         self.t = t
         self._wander(h)
         turned = so3.log(np.ascontiguousarray(before.T @ self._steady())) / h
