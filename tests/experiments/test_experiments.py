@@ -131,8 +131,12 @@ def test_starry_night_from_frame_131_on(capsys: pytest.CaptureFixture[str]) -> N
     assert end >= times[-1]
     rows = _compare(capsys, path, "--data", folder, "-e", "ekf", "-e", "batch")
     batch, ekf = rows["batch"]["states"], rows["ekf"]["states"]
-    assert batch["relative_position"]["rmse"] <= 0.0195
-    assert batch["relative_attitude"]["rmse"] <= 1.95
+    assert batch["relative_position"]["rmse"] <= 0.009
+    assert batch["relative_attitude"]["rmse"] <= 1.65
+    assert ekf["relative_position"]["rmse"] <= 0.015
+    # The truth has errors of its own, which the scenario says: without them nothing would fit.
+    assert 0.8 <= rows["batch"]["anees"] <= 1.3
+    assert rows["batch"]["anees_without_truth_noise"] > 10
     for name in ("relative_position", "relative_attitude"):
         assert batch[name]["rmse"] < ekf[name]["rmse"]
 
