@@ -31,6 +31,9 @@ ABSOLUTE_ACCELEROMETER_BIAS = Block(
     "absolute_accelerometer_bias", "b_F_c", "vector", 3, "m/s^2", "c", "m/s^2"
 )
 EARTH_SENSOR_BIAS = Block("earth_sensor_bias", "b_e_s", "vector", 2, "rad", "s", "deg")
+#: Of a measured distance between target and chaser, and of its rate.
+RANGE_BIAS = Block("range_bias", "b_r", "vector", 1, "m", "-", "m")
+RANGE_RATE_BIAS = Block("range_rate_bias", "b_v", "vector", 1, "m/s", "-", "m/s")
 # A bias may be two blocks: a constant, which has the name of the bias, and what drifts about it.
 GYRO_DRIFT = Block("gyro_drift", "d_c", "vector", 3, "rad/s", "c", "deg/h")
 ACCELEROMETER_DRIFT = Block("accelerometer_drift", "d_f_c", "vector", 3, "m/s^2", "c", "m/s^2")
@@ -38,12 +41,16 @@ ABSOLUTE_ACCELEROMETER_DRIFT = Block(
     "absolute_accelerometer_drift", "d_F_c", "vector", 3, "m/s^2", "c", "m/s^2"
 )
 EARTH_SENSOR_DRIFT = Block("earth_sensor_drift", "d_e_s", "vector", 2, "rad", "s", "deg")
+RANGE_DRIFT = Block("range_drift", "d_r", "vector", 1, "m", "-", "m")
+RANGE_RATE_DRIFT = Block("range_rate_drift", "d_v", "vector", 1, "m/s", "-", "m/s")
 #: By name: of a drift, the bias about which it drifts.
 DRIFTS: Mapping[str, str] = {
     GYRO_DRIFT.name: GYRO_BIAS.name,
     ACCELEROMETER_DRIFT.name: ACCELEROMETER_BIAS.name,
     ABSOLUTE_ACCELEROMETER_DRIFT.name: ABSOLUTE_ACCELEROMETER_BIAS.name,
     EARTH_SENSOR_DRIFT.name: EARTH_SENSOR_BIAS.name,
+    RANGE_DRIFT.name: RANGE_BIAS.name,
+    RANGE_RATE_DRIFT.name: RANGE_RATE_BIAS.name,
 }
 #: artanh of the first two ratios l_x = (J_y - J_z) / J_x, l_y = (J_z - J_x) / J_y of the
 #: principal inertia. With k_z = -(k_x + k_y), l = tanh(k): l_x + l_y + l_z + l_x l_y l_z

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
+import numpy as np
+
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
@@ -35,6 +37,7 @@ __all__ = [
     "ReadsTime",
     "ScattersRaw",
     "Sensor",
+    "Wanders",
 ]
 
 Kernel = Callable[..., Any]
@@ -316,6 +319,15 @@ class Drifts(Protocol):
 
     def without_drift(self) -> Any:
         """The model for which there is no such drift; None where nothing is left of it."""
+
+
+@runtime_checkable
+class Wanders(Protocol):
+    """A process that nothing else drives, so that a truth without it can be completed: a bias."""
+
+    def wandering(self, times: Array, rng: np.random.Generator) -> dict[str, Array]:
+        """True values (N, dim) of what it advances, at `times` (N,), s, by name, SI: drawn as it
+        goes on, not as it begins."""
 
 
 @runtime_checkable

@@ -31,7 +31,7 @@ from relnav_graph.scenario.settings import SensorOptions, besides
 from relnav_graph.scenario.true_map import TrueMap
 from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
 from relnav_graph.sim.contracts import Controller
-from relnav_graph.sim.passes import simulate, with_statics
+from relnav_graph.sim.passes import simulate, with_statics, with_wander
 from relnav_graph.sim.sensors import Timing, measure_all, stream
 from relnav_graph.units import parse_quantity
 
@@ -240,6 +240,8 @@ class Scenario:
         if len(names) == len(self.sensors):
             self.refuse_noise()
         sensors = {name: self.true_sensors[name] for name in names}
+        truth = with_wander(truth, self.processes, sensors, seed, run)
+        recording = replace(recording, truth=self._scored(truth))
         made = measure_all(sensors, self.timings, truth, seed, run)
         return replace(recording, measurements=(*recording.measurements, *made))
 

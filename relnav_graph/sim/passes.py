@@ -10,7 +10,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.catalogue import DRIFTS
-from relnav_graph.core.contracts import Dynamics, Sensor
+from relnav_graph.core.contracts import Dynamics, Sensor, Wanders
 from relnav_graph.core.copies import with_true_copies
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
@@ -32,6 +32,7 @@ __all__ = [
     "biases_as_in",
     "simulate",
     "with_statics",
+    "with_wander",
 ]
 
 
@@ -97,6 +98,26 @@ def with_statics(truth: Truth, statics: Mapping[str, Array]) -> Truth:
     return replace(truth, values={**truth.values, **tiled})
 
 
+def with_wander(
+    truth: Truth,
+    processes: Mapping[str, Dynamics],
+    sensors: Mapping[str, Sensor],
+    seed: int,
+    run: int = 0,
+) -> Truth:
+    """A truth with what it lacks of the biases that sensors read, drawn from their own processes,
+    each with a stream of its own; its source says so."""
+    lacking = {b.name for s in sensors.values() for b in s.reads} - truth.values.keys()
+    values: dict[str, Array] = {}
+    for name, process in processes.items():
+        if isinstance(process, Wanders) and any(b.name in lacking for b in process.advances):
+            values |= process.wandering(truth.t, stream(seed, run, f"process {name}"))
+    if not values:
+        return truth
+    source = f"{truth.source}; {', '.join(values)}: drawn from the estimators' own process"
+    return replace(truth, values={**truth.values, **values}, source=source)
+
+
 def simulate(
     truth_model: Any,
     inputs: Mapping[str, Any],
@@ -148,7 +169,7 @@ def simulate(
             at = np.searchsorted(edges, times - SAME_TIME)
             truth = Truth(truth.t, {**truth.values, f"{name}_bias": bias[at]}, truth.source)
     if not isinstance(truth_model, DrivenTruth):
-        truth = with_statics(truth, statics or {})
+        truth = with_wander(with_statics(truth, statics or {}), processes, sensors, seed, run)
         truth = replace(truth, values=biases_as_in(layout, truth.values))
     known = {b.name: truth.values[b.name] for b in layout if b.name in truth.values}
     for name, values in known.items():

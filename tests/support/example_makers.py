@@ -123,6 +123,19 @@ def laser(**options: Any) -> SensorExample:
     return SensorExample(model, draw, step=steps, least_large=1.0)
 
 
+def ranging(cls: Any, sigma: float, **options: Any) -> SensorExample:
+    """At least a hundred metres away: no distance is negative, nor nearly zero."""
+    model = cls(sigma=sigma, **options)
+
+    def draw(rng: np.random.Generator, regime: str) -> tuple[Array, ...]:
+        _, *rest = (draw_block(b, rng, regime) for b in model.reads)
+        line = rng.normal(size=3)
+        return rng.uniform(100, 1000) * line / np.linalg.norm(line), *rest
+
+    steps = {b.name: 0.1 for b in model.reads} | {"relative_position": 3.0}
+    return SensorExample(model, draw, step=steps)
+
+
 def odometry(**options: Any) -> SensorExample:
     model = PoseOdometry(
         position_sigma=np.array([5e-3, 4e-3, 6e-3]), attitude_sigma=np.full(3, 0.01), **options

@@ -38,6 +38,7 @@ from example_makers import (
     position_sensor,
     pseudorange,
     pulled,
+    ranging,
     relative_motion,
     relative_two_body,
     rotation,
@@ -51,16 +52,21 @@ from relnav_factors.derived.whole_bias import (
     WholeAccelerometerBias,
     WholeEarthSensorBias,
     WholeGyroBias,
+    WholeRangeBias,
+    WholeRangeRateBias,
 )
 from relnav_factors.dynamics.accelerometer_bias import AccelerometerBias
 from relnav_factors.dynamics.earth_sensor_bias import EarthSensorBias
 from relnav_factors.dynamics.inertial_orbit_motion import InertialOrbitMotion
 from relnav_factors.dynamics.inertial_relative_motion import InertialRelativeMotion
+from relnav_factors.dynamics.range_bias import RangeBias, RangeRateBias
 from relnav_factors.dynamics.receiver_clock import ReceiverClock
 from relnav_factors.sensors.attitude_odometry import AttitudeOdometry
 from relnav_factors.sensors.beacon_los import BeaconLineOfSight
 from relnav_factors.sensors.gps_position import GpsPosition
+from relnav_factors.sensors.inter_satellite_range import Range, RangeRate
 from relnav_factors.sensors.pose_copy import PoseCopy
+from relnav_factors.sensors.position_fix import PositionFix
 from relnav_factors.sensors.star_tracker import StarTracker
 from relnav_factors.sensors.stereo_point import StereoPointCartesian
 from relnav_factors.sensors.three_point_attitude import ThreePointAttitude
@@ -133,6 +139,21 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         odometry(**MOUNTED),
         odometry(keyframe=-30.0),
     ),
+    "position_fix": (
+        position_sensor(PositionFix(sigma=np.full(3, 10.0))),
+        position_sensor(PositionFix(sigma=np.array([3.0, 4.0, 5.0]), pose="target")),
+    ),
+    "range": (
+        ranging(Range, 0.01),
+        ranging(Range, 0.01, bias=True, pose="target"),
+        ranging(Range, 0.01, bias=True, drift=True),
+        ranging(Range, 0.01, drift=True),
+    ),
+    "range_rate": (
+        ranging(RangeRate, 1e-3),
+        ranging(RangeRate, 1e-3, bias=True, drift=True),
+        ranging(RangeRate, 1e-3, drift=True, pose="target"),
+    ),
     "stereo_point": (
         point_sensor(stereo()),
         point_sensor(stereo(**MOUNTED)),
@@ -155,6 +176,14 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "earth_sensor_bias": (
         forgetting(EarthSensorBias, 1e-4),
         forgetting(EarthSensorBias, 1e-4, part="drift"),
+    ),
+    "range_bias": (
+        forgetting(RangeBias, 0.01),
+        forgetting(RangeBias, 0.01, part="drift"),
+    ),
+    "range_rate_bias": (
+        forgetting(RangeRateBias, 1e-4),
+        forgetting(RangeRateBias, 1e-4, part="drift"),
     ),
     "inertial_orbit_motion": (
         driven(InertialOrbitMotion, "absolute"),
@@ -253,6 +282,8 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "whole_accelerometer_bias": (DerivedExample(WholeAccelerometerBias()),),
     "whole_earth_sensor_bias": (DerivedExample(WholeEarthSensorBias()),),
     "whole_gyro_bias": (DerivedExample(WholeGyroBias()),),
+    "whole_range_bias": (DerivedExample(WholeRangeBias()),),
+    "whole_range_rate_bias": (DerivedExample(WholeRangeRateBias()),),
     "target_rate_in_chaser": (DerivedExample(relative_pose.TargetRateInChaser()),),
 }
 

@@ -65,3 +65,23 @@ class WholeEarthSensorBias(WholeBias):
         "whole_earth_sensor_bias", "(b+d)_e_s", "vector", 2, "rad", "s", "deg"
     )
     reads = (catalogue.EARTH_SENSOR_BIAS, catalogue.EARTH_SENSOR_DRIFT)
+
+
+@dataclass(frozen=True)
+class WholeRangeBias(WholeBias):
+    """z - |r| = b + d: what a measured distance has too much, but for white noise."""
+
+    kind: ClassVar[str] = "whole_range_bias"
+    block: ClassVar[Block] = Block("whole_range_bias", "(b+d)_r", "vector", 1, "m", "-", "m")
+    reads = (catalogue.RANGE_BIAS, catalogue.RANGE_DRIFT)
+
+
+@dataclass(frozen=True)
+class WholeRangeRateBias(WholeBias):
+    """z - |r|' = b + d: what a measured range rate has too much, but for white noise."""
+
+    kind: ClassVar[str] = "whole_range_rate_bias"
+    block: ClassVar[Block] = Block(
+        "whole_range_rate_bias", "(b+d)_v", "vector", 1, "m/s", "-", "m/s"
+    )
+    reads = (catalogue.RANGE_RATE_BIAS, catalogue.RANGE_RATE_DRIFT)

@@ -87,3 +87,14 @@ class GaussMarkov(DynamicsModel):
 
     def constants(self) -> Array:
         return np.array([self.time_constant, self.sigma])
+
+    def wandering(self, times: Array, rng: np.random.Generator) -> dict[str, Array]:
+        """True values (N, dim) at `times` (N,), s, in the unit of sigma; see
+        `relnav_graph.core.contracts.Wanders`."""
+        (block,) = self.advances
+        draws = rng.standard_normal((len(times), block.dim))
+        out = self.sigma * draws
+        for k, length in enumerate(np.diff(times), 1):
+            kept, gained = decay(length, self.time_constant, self.sigma)
+            out[k] = kept * out[k - 1] + np.sqrt(gained) * draws[k]
+        return {block.name: out}
