@@ -387,7 +387,10 @@ def save_figures(figures: Mapping[str, Figure], folder: Path | str) -> list[Path
     Path(folder).mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
         for name, figure in figures.items():
+            layout = figure.get_layout_engine()
             for suffix, metadata in (("svg", {"Date": None}), ("png", None)):
                 paths.append(Path(folder) / f"{name}.{suffix}")
                 figure.savefig(paths[-1], dpi=200, metadata=metadata)
+                figure.set_layout_engine("none")  # laying it out takes long enough once
+            figure.set_layout_engine(layout)
     return paths
