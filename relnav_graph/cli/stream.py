@@ -84,6 +84,9 @@ def command(
     show_events()
     check_before_work((kind,), None)
     loaded = load_scenario(scenario, assignments)  # before anything waits: its errors
+    for name, stamps in loaded.stamps.items():
+        if stamps.lag > 0 and name in loaded.input_columns:
+            show_progress(f"{name}: stamps lag by {stamps.lag:g} s: estimates come that much later")
     digest = hashlib.sha256(json.dumps(loaded.raw, sort_keys=True, default=str).encode())
     identity = {"scenario": scenario.stem, "sha256": digest.hexdigest(), "estimator": kind}
     options = Options(max_gap, patience, predict_to_now)

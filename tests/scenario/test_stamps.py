@@ -59,6 +59,7 @@ def test_a_stream_waits_for_the_samples_that_tell(
     files = ["--from", tmp_path / "lines", "-o", tmp_path / "out"]
     code, _, err = relnav(capsys, "stream", scenario, "-e", "iekf", *files)
     assert code == 0, err
+    assert "gyro: stamps lag by 2.5 s: estimates come that much later" in err
     last = json.loads((tmp_path / "out").read_text().splitlines()[-1])
     track = run_estimator("iekf", open_pass(ZHANG, assignments=LATE).problem)
     found = last["estimate"]["relative_position"]["value"]
