@@ -1,1 +1,1 @@
-"""Arrays only: linear algebra, rotations, the state manifold, orbits, frames, losses, inertia."""
+"""Arrays only: algebra, rotations, the state manifold, orbits, the Earth, losses, inertia."""

@@ -9,8 +9,6 @@ microarcsec of the fastest nutation, 3e-7 of the Moon's distance.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from relnav_factors.shared.harmonics import harmonic_pull, harmonic_table
@@ -38,7 +36,6 @@ FAILURES = {
 }
 
 
-@lru_cache(maxsize=16)
 def earth_numbers(
     degree: int, order: int, third_bodies: tuple[str, ...], clock: AbsoluteTime
 ) -> Array:

@@ -46,8 +46,10 @@ class EarthBound(Thrusted):
                 "degree: found 1, expected 0 or from 2 on: the Earth's centre is known"
             )
         geopotential().upto(self.degree, self.order)
-        if self.turns and not self.undated:
-            self.constants()  # it refuses a field that there is not, before anything runs
+        made = np.zeros(0)
+        if self.turns and self.clock is not None:
+            made = earth_numbers(self.degree, self.order, self.third_bodies, self.clock)
+        object.__setattr__(self, "_earth", made)
 
     @property
     def turns(self) -> bool:
@@ -74,8 +76,6 @@ class EarthBound(Thrusted):
 
         Raises InputError where the absolute time is missing.
         """
-        if not self.turns:
-            return np.zeros(0)
-        if self.clock is None:
+        if self.undated:
             raise InputError(f"{self.kind}: found no absolute time of t = 0, expected [time] epoch")
-        return earth_numbers(self.degree, self.order, self.third_bodies, self.clock)
+        return self._earth  # type: ignore[attr-defined,no-any-return]
