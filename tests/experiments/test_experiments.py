@@ -142,8 +142,8 @@ def test_starry_night_from_frame_131_on(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_starry_night_with_its_points_withheld(capsys: pytest.CaptureFixture[str]) -> None:
-    """The same pass, which makes its own map: after one rigid alignment as good as with the known
-    one."""
+    """The same pass, which makes its own map: after one rigid alignment nearly as good as with the
+    known one."""
     root = os.environ.get("RELNAV_DATA")
     if root is None:
         pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
@@ -151,8 +151,11 @@ def test_starry_night_with_its_points_withheld(capsys: pytest.CaptureFixture[str
     rows = _compare(capsys, path, "--data", folder, "-e", "batch", "-e", "incremental")
     aligned = rows["batch"]["aligned"]
     assert rows["batch"]["statics"]["point"]["count"] == 20
-    assert aligned["map_rmse_m"] <= 0.005
-    assert aligned["states"]["relative_position"]["rmse"] <= 0.0195
-    assert aligned["states"]["relative_attitude"]["rmse"] <= 1.9
-    assert rows["incremental"]["distance"] < 0.1
-    assert rows["incremental"]["aligned"]["map_rmse_m"] <= 0.005
+    assert aligned["map_rmse_m"] <= 0.003
+    known = _compare(capsys, EXPERIMENTS / "starry_night.toml", "--data", folder, "-e", "batch")
+    for name, row in aligned["states"].items():
+        assert row["rmse"] <= 1.1 * known["batch"]["states"][name]["rmse"]
+    # The weights of the loss are renewed with what comes later; in the end they are batch's.
+    assert rows["incremental"]["distance"] < 0.5
+    assert rows["incremental_smoothed"]["distance"] < 0.1
+    assert rows["incremental"]["aligned"]["map_rmse_m"] <= 0.003
