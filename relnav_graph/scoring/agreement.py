@@ -17,6 +17,7 @@ from relnav_graph.core.cautions import Caution
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track
 from relnav_graph.estimators.second_look import SECOND_LOOK
+from relnav_graph.scoring.bent_axes import axes_cautions
 
 __all__ = ["REFERENCES", "distances", "row_cautions"]
 
@@ -98,7 +99,8 @@ def _overconfidence(track: Track, reference: Track) -> float:
 def row_cautions(
     rows: Mapping[str, Track], reference: str, apart: Mapping[str, float | None]
 ) -> dict[str, tuple[Caution, ...]]:
-    """The cautions of each row: its own, and what comparing it with the reference says.
+    """The cautions of each row: its own, those of badly known axes, and what comparing it with the
+    reference says.
 
     rows, reference, apart: as of `distances`. A posterior that is bent for the reference is so
     for all that estimate the same pass.
@@ -106,7 +108,7 @@ def row_cautions(
     bent = [c for c in rows[reference].cautions if c.name == SECOND_LOOK] if reference else []
     found = {}
     for name, track in rows.items():
-        own, distance = list(track.cautions), apart[name]
+        own, distance = [*track.cautions, *axes_cautions(track)], apart[name]
         if distance is not None and not any(c.name == SECOND_LOOK for c in own):
             own += [Caution(SECOND_LOOK, f"of {reference}: {c.text}") for c in bent]
         if distance is not None and distance > FAR:
