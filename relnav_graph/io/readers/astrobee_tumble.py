@@ -13,13 +13,9 @@ receipt only; the others are stamped by the simulation.
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -28,7 +24,7 @@ from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.files import read_file
+from relnav_graph.io.packed import one_file, read_rows
 from relnav_graph.maths import dense, so3
 from relnav_graph.sim.truths.inertial import inertia_parameters
 
@@ -77,26 +73,15 @@ class _Topic:
         return np.asarray(values[k] @ dense.stacked(parts, 3, 3))
 
 
-def _file(folder: Path, topic: str, run: str) -> Path | None:
-    found = sorted(p for p in folder.glob(f"*{topic}*.csv*") if run in p.name)
-    if len(found) > 1:
-        names = ", ".join(p.name for p in found)
-        raise InputError(f"{folder}: found {names}; name the run by a part, data.options.run")
-    return found[0] if found else None
-
-
 def _topic(
     folder: Path, topic: str, run: str, columns: Sequence[str], needed: bool = True
 ) -> _Topic | None:
     """A topic's file; None where there is none and it is not needed."""
-    path = _file(folder, topic, run)
+    path = one_file(folder, f"*{topic}*.csv*", run, needed)
     if path is None:
-        if needed:
-            raise InputError(
-                f"{folder}: no file *{topic}*.csv or .csv.gz {run and f'with {run!r}'}"
-            )
         return None
-    header, rows = _read(path)
+    lines = read_rows(path)
+    header, rows = (lines[0][1] if lines else []), [row for _, row in lines[1:]]
     names = ("%time", "header.stamp", *columns)
     where = [[i for i, h in enumerate(header) if h == n or h.endswith(f".{n}")] for n in names]
     for name, found in zip(names, where, strict=True):
@@ -116,18 +101,6 @@ def _topic(
     stamps = table[:, 1] if table[:, 1].all() else table[:, 0]
     _, first = np.unique(stamps, return_index=True)  # a few messages come twice
     return _Topic(path, 1e-9 * stamps[first], np.ascontiguousarray(table[first, 2:]))
-
-
-def _read(path: Path) -> tuple[list[str], list[list[str]]]:
-    """The header and the rows of a CSV file, packed or not."""
-    content: IO[bytes] = io.BytesIO(read_file(path))
-    try:
-        packed = gzip.GzipFile(fileobj=content) if path.suffix == ".gz" else content
-        with io.TextIOWrapper(packed, "utf-8") as stream:
-            rows = [row for row in csv.reader(stream) if row]
-    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV table: {error}") from error
-    return (rows[0] if rows else []), rows[1:]
 
 
 def _truth(folder: Path, run: str, t: Array, inertia: Array | None) -> Truth | None:

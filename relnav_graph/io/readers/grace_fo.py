@@ -11,15 +11,22 @@ which a scenario simulates its sensors (``data.simulate``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
+from relnav_graph.io.orbits import (
+    DAY,
+    Orbit,
+    check_state,
+    in_common,
+    in_order,
+    part_of,
+    roles,
+)
 from relnav_graph.maths.instants import Instant
 
 __all__ = ["read"]
@@ -28,27 +35,6 @@ __all__ = ["read"]
 _END = "end_of_header"
 #: Values accepted in the header, by key.
 _EXPECTED = {"Reference Frame": ("ICRF", "GCRF"), "Time scale": ("Terrestrial Time", "TT")}
-_DAY = 86400.0
-#: Stamps of both files closer than that, s, are the same.
-_SAME = 1e-5
-#: Lengths of position, m, and velocity, m/s, that an orbit about the Earth can have.
-_PLACES, _SPEEDS = (6.3e6, 1e9), (10.0, 11.2e3)
-
-
-@dataclass(frozen=True, eq=False)
-class _Orbit:
-    """One file: the spacecraft's name, day and seconds of each epoch (N,), position and
-    velocity (N, 6)."""
-
-    path: Path
-    name: str
-    day: Array
-    seconds: Array
-    state: Array
-
-    def since(self, day: float) -> Array:
-        """Seconds since the beginning of a day (N,)."""
-        return (self.day - day) * _DAY + self.seconds
 
 
 def _header(path: Path, lines: list[str]) -> tuple[str, int]:
@@ -88,20 +74,11 @@ def _row(path: Path, number: int, line: str) -> list[float]:
         )
     if not np.isfinite(row).all():
         raise InputError(f"{path}, line {number}: found a number that is not finite")
-    for what, unit, v, (low, high) in (
-        ("position", "m", row[2:5], _PLACES),
-        ("velocity", "m/s", row[5:8], _SPEEDS),
-    ):
-        length = float(np.linalg.norm(v))
-        if not low < length < high:
-            raise InputError(
-                f"{path}, line {number}: found a {what} of {length:.6g} {unit}, expected one of"
-                f" an orbit about the Earth, {low:g} to {high:g} {unit} (k{unit} given?)"
-            )
+    check_state(f"{path}, line {number}", row[2:])
     return row
 
 
-def _orbit(path: Path) -> _Orbit:
+def _orbit(path: Path) -> Orbit:
     try:
         lines = read_file(path).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
@@ -109,34 +86,20 @@ def _orbit(path: Path) -> _Orbit:
     name, skip = _header(path, lines)
     numbers = [n for n, line in enumerate(lines, 1) if n > skip and line.strip()]
     rows = [_row(path, n, lines[n - 1]) for n in numbers]
-    if len(rows) < 2:
-        raise InputError(f"{path}: found {len(rows)} epochs, expected two or more")
-    table = np.array(rows)
-    orbit = _Orbit(path, name, table[:, 0], table[:, 1], np.ascontiguousarray(table[:, 2:]))
-    backwards = np.diff(orbit.since(table[0, 0])) <= 0
-    if backwards.any():
-        n = numbers[int(np.nonzero(backwards)[0][0]) + 1]
-        raise InputError(f"{path}, line {n}: found a time that is not after the one before")
+    table = np.array(rows).reshape(-1, 8)
+    orbit = Orbit(path, name, table[:, 0], table[:, 1], np.ascontiguousarray(table[:, 2:]))
+    in_order(path, numbers, orbit.since(rows[0][0] if rows else 0.0))
     return orbit
 
 
-def _pair(folder: Path, run: str, chaser: str) -> tuple[_Orbit, _Orbit]:
+def _pair(folder: Path, run: str, chaser: str) -> tuple[Orbit, Orbit]:
     """The orbits of target and chaser."""
     paths = sorted(p for p in folder.glob("*.orb") if run in p.name)
     if len(paths) != 2:
         hint = "; name the pass by a part of both, data.options.run" if len(paths) > 2 else ""
         names = ", ".join(p.name for p in paths) or "no file"
         raise InputError(f"{folder}: found {names}, expected two files *.orb{hint}")
-    one, other = sorted((_orbit(p) for p in paths), key=lambda orbit: orbit.name)
-    if one.name == other.name:
-        raise InputError(f"{folder}: found two orbits of {one.name}, expected two spacecraft")
-    if chaser == one.name:
-        return other, one
-    if chaser not in ("", other.name):
-        raise InputError(
-            f"data.options.chaser: found {chaser!r}, expected {one.name!r} or {other.name!r}"
-        )
-    return one, other
+    return roles(folder, [_orbit(p) for p in paths], chaser)
 
 
 def read(
@@ -159,32 +122,18 @@ def read(
     """
     target, craft = _pair(folder, run, chaser)
     day = min(target.day[0], craft.day[0])
-    t, own = craft.since(day), target.since(day)
-    k = np.clip(np.searchsorted(own, t - _SAME), 0, len(own) - 1)
-    both = np.abs(own[k] - t) <= _SAME
-    k, t, r_c = k[both], t[both], craft.state[both]
-    if len(t) < 2:
-        raise InputError(
-            f"{target.path} and {craft.path}: found {len(t)} epochs in common, expected two or"
-            " more: are they of the same day and time scale?"
-        )
-    first = t[0]
-    t = t - first
-    end = np.inf if duration is None else start + duration
-    part = (t >= start - _SAME) & (t <= end + _SAME)
-    if part.sum() < 2:
-        raise InputError(
-            f"data.options: found start = {start} s and duration = {duration} s, expected two"
-            f" epochs or more of 0 to {t[-1]:g} s"
-        )
-    r_c, r_tc = r_c[part], (r_c - target.state[k])[part]
+    t, k, both = in_common(target, craft, day)
+    part = part_of(t, start, duration)
+    r_c = craft.state[both][part]
+    r_tc = r_c - target.state[k][part]
     values = {
         "relative_position": np.ascontiguousarray(r_tc[:, :3]),
         "relative_velocity": np.ascontiguousarray(r_tc[:, 3:]),
         "chaser_position": np.ascontiguousarray(r_c[:, :3]),
         "chaser_velocity": np.ascontiguousarray(r_c[:, 3:]),
     }
-    times = t[part] - t[part][0]
+    first = t[part][0]
+    times = t[part] - first
     source = f"precise orbits, {craft.name} (chaser) and {target.name} (target)"
-    began = Instant.of(int(day), (day - int(day)) * _DAY + float(first + t[part][0]), "TT")
+    began = Instant.of(int(day), (day - int(day)) * DAY + float(first), "TT")
     return Recording(times, (), {}, Truth(times, values, source), {"time": {"epoch": str(began)}})

@@ -1,0 +1,108 @@
+"""Orbits of two spacecraft from files: what all readers of them check, and the epochs of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relnav_graph.arrays import Array, Indices
+from relnav_graph.errors import InputError
+
+__all__ = ["DAY", "SAME", "Orbit", "check_state", "in_common", "in_order", "part_of", "roles"]
+
+DAY = 86400.0
+#: Stamps of both files closer than that, s, are the same.
+SAME = 1e-5
+#: Lengths of position, m, and velocity, m/s, that an orbit about the Earth can have.
+_PLACES, _SPEEDS = (6.3e6, 1e9), (10.0, 11.2e3)
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """One file: the spacecraft's name, day and seconds of each epoch (N,), position and
+    velocity (N, 6), m and m/s."""
+
+    path: Path
+    name: str
+    day: Array
+    seconds: Array
+    state: Array
+
+    def since(self, day: float) -> Array:
+        """Seconds since the beginning of a day (N,)."""
+        return (self.day - day) * DAY + self.seconds
+
+
+def check_state(where: str, state: list[float], hints: tuple[str, str] = ("km", "km/s")) -> None:
+    """Raise InputError unless position and velocity (6,), m and m/s, can be of an orbit.
+
+    where: file and line; hints: the units that one may have given for the right ones.
+    """
+    for what, unit, v, (low, high), hint in (
+        ("position", "m", state[:3], _PLACES, hints[0]),
+        ("velocity", "m/s", state[3:], _SPEEDS, hints[1]),
+    ):
+        length = float(np.linalg.norm(v))
+        if not low < length < high:
+            raise InputError(
+                f"{where}: found a {what} of {length:.6g} {unit}, expected one of an orbit about"
+                f" the Earth, {low:g} to {high:g} {unit} ({hint} given?)"
+            )
+
+
+def in_order(path: Path, numbers: list[int], t: Array) -> None:
+    """Raise InputError unless times t (N,), s, of the lines `numbers` are two or more, and rise."""
+    if len(t) < 2:
+        raise InputError(f"{path}: found {len(t)} epochs, expected two or more")
+    backwards = np.diff(t) <= 0
+    if backwards.any():
+        n = numbers[int(np.nonzero(backwards)[0][0]) + 1]
+        raise InputError(f"{path}, line {n}: found a time that is not after the one before")
+
+
+def roles(folder: Path, orbits: list[Orbit], chaser: str) -> tuple[Orbit, Orbit]:
+    """The orbits of target and chaser, of two.
+
+    chaser: name of the spacecraft that plays it; "": the second of the names.
+    """
+    one, other = sorted(orbits, key=lambda orbit: orbit.name)
+    if one.name == other.name:
+        raise InputError(f"{folder}: found two orbits of {one.name}, expected two spacecraft")
+    if chaser == one.name:
+        return other, one
+    if chaser not in ("", other.name):
+        raise InputError(
+            f"data.options.chaser: found {chaser!r}, expected {one.name!r} or {other.name!r}"
+        )
+    return one, other
+
+
+def in_common(target: Orbit, craft: Orbit, day: float) -> tuple[Array, Indices, NDArray[np.bool_]]:
+    """Times (N,), s since a day, of the epochs that both have, and which they are: rows (N,) of the
+    target, and whether each of the craft's is one. Raises InputError on fewer than two."""
+    t, own = craft.since(day), target.since(day)
+    k = np.clip(np.searchsorted(own, t - SAME), 0, len(own) - 1)
+    both = np.abs(own[k] - t) <= SAME
+    if both.sum() < 2:
+        raise InputError(
+            f"{target.path} and {craft.path}: found {both.sum()} epochs in common, expected two or"
+            " more: are they of the same day and time scale?"
+        )
+    return t[both], k[both], both
+
+
+def part_of(t: Array, start: float, duration: float | None) -> NDArray[np.bool_]:
+    """Which of the times t (N,), s, are of the part that [data.options] takes, from `start`, s
+    after the first, on. Raises InputError on fewer than two."""
+    end = np.inf if duration is None else start + duration
+    since = t - t[0]
+    part: NDArray[np.bool_] = (since >= start - SAME) & (since <= end + SAME)
+    if part.sum() < 2:
+        raise InputError(
+            f"data.options: found start = {start} s and duration = {duration} s, expected two"
+            f" epochs or more of 0 to {since[-1]:g} s"
+        )
+    return part
