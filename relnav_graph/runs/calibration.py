@@ -250,7 +250,8 @@ def _truth_tables(scenario: Scenario, recording: Recording) -> dict[str, Any]:
     if not turns or names[-1] not in noise:
         raise InputError(
             f"{scenario.name}: found [truth_noise] of {', '.join(noise) or 'nothing'}, expected"
-            f" that of {' and '.join(names)}: the truth counts as a measurement"
+            f" that of {' and '.join(names)}: the truth counts as a measurement; or none of it"
+            " (--without-truth)"
         )
     sigma = np.sqrt(np.sum([np.square(np.broadcast_to(one, 3)) for one in turns], axis=0))
     place = np.broadcast_to(noise[names[-1]], 3)
