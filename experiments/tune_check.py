@@ -33,6 +33,7 @@ def found(case: tuple[int, float, int]) -> dict[str, Any]:
     settings = [f"time.epochs={epochs}", f'{NOISE}="{wrong * TRUE} rad/sqrt(s)"']
     path = Path(__file__).with_name("zhang2015_close.toml")
     rows = tune(open_pass(path, seed, assignments=settings))["noises"]
+    print(f"seed {seed}, declared {wrong:.3g} times", file=sys.stderr, flush=True)
     return {
         name: np.array([row["factor"], *row["factor_ci"]]) * (wrong if name == NOISE else 1.0)
         for name, row in rows.items()

@@ -108,7 +108,7 @@ def row_cautions(
     bent = [c for c in rows[reference].cautions if c.name == SECOND_LOOK] if reference else []
     found = {}
     for name, track in rows.items():
-        own, distance = [*track.cautions, *axes_cautions(track)], apart[name]
+        own, distance = list(track.cautions), apart[name]
         if distance is not None and not any(c.name == SECOND_LOOK for c in own):
             own += [Caution(SECOND_LOOK, f"of {reference}: {c.text}") for c in bent]
         if distance is not None and distance > FAR:
@@ -122,5 +122,5 @@ def row_cautions(
                     " its covariance allows, on average over the last three quarters of the pass"
                 )
                 own.append(Caution("overconfident", text))
-        found[name] = tuple(own)
+        found[name] = (*own, *axes_cautions(track))
     return found

@@ -136,7 +136,8 @@ def fit(
 
     asked: names of noises, as of `process_groups`, or in of_rows, which names the noise of each
     residual row of one observation, by sensor; probes: draws of random signs from which T is
-    estimated, always the same. Raises GeometryError, ModelError and EstimationError where the
+    estimated, always the same; 0 leaves it zero. Raises GeometryError, ModelError and
+    EstimationError where the
     trajectory cannot be linearised.
     """
     assembly = Assembly.of(problem)
@@ -150,9 +151,9 @@ def fit(
     prior, process, measured = _explained(rows, system.conditionals)
     redundancy = groups.sums(1 - prior, 1 - process, np.where(used, 1 - measured, 0.0))
     rng = np.random.default_rng(np.random.SeedSequence(0))
-    T = sum(coupling(rows, groups, used, rng) for _ in range(probes)) / probes
-    n, cost = len(asked), 0.5 * float(squares.sum())
-    T = np.asarray(T)[:n, :n]
+    n, cost, T = len(asked), 0.5 * float(squares.sum()), np.zeros((len(asked), len(asked)))
+    for _ in range(probes):
+        T += coupling(rows, groups, used, rng, n)[:n] / probes
     return Fit(
         squares[:n],
         redundancy[:n],

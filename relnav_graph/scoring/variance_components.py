@@ -102,9 +102,15 @@ def residuals_after(rows: Rows, d: Array) -> tuple[Array, Array, Array]:
 
 
 def coupling(
-    rows: Rows, groups: Groups, used: NDArray[np.bool_], rng: np.random.Generator
+    rows: Rows,
+    groups: Groups,
+    used: NDArray[np.bool_],
+    rng: np.random.Generator,
+    columns: int | None = None,
 ) -> Array:
-    """T (groups, groups), estimated with random signs z (Hutchinson 1990).
+    """T (groups, groups), or its first `columns` columns, estimated with random signs z.
+
+    The estimate is Hutchinson's (1990).
 
     T_ij = ||Q_ij||^2 = E[|Q_ij z_j|^2]: the noises of group j alone are replaced by z_j, and the
     squared residuals after smoothing are summed by group i.
@@ -112,8 +118,9 @@ def coupling(
     q, m = rows.process, rows.measurements
     prior, process, measured = (rng.choice((-1.0, 1.0), a.shape) for a in (rows.e, q.e, m.r))
     count, n = len(rows.offsets) - 1, rows.states
-    out = np.empty((len(groups.names), len(groups.names)))
-    for j, name in enumerate(groups.names):
+    names = groups.names[:columns]
+    out = np.empty((len(groups.names), len(names)))
+    for j, name in enumerate(names):
         probe = replace(
             rows,
             e=prior * (name == PRIOR),

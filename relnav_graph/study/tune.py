@@ -237,8 +237,8 @@ def _tune(opened: Pass, tell: Callable[[str], None]) -> dict[str, Any]:
         logs[asked.pop(worst)] = 0.0
     width = _telling(found) if asked else np.zeros(0)
     half = dict(zip(asked, width.tolist(), strict=True))
-    end = trial.fit(logs, every)
-    begin = trial.fit(declared, every, held=True)  # of the same observations
+    end = trial.fit(logs, every, probes=0)
+    begin = trial.fit(declared, every, probes=0, held=True)  # of the same observations
     return {
         "schema": 1,
         "scenario": scenario.name,

@@ -52,7 +52,7 @@ def test_row_58_a_wrong_batch_that_says_ok_is_doubted(number: int) -> None:
     batch, truth = found.track("batch"), opened.recording.truth
     assert batch.status == "ok"
     assert script().error(batch, truth) > 5
-    assert words(found, "batch") == [SECOND_LOOK]
+    assert words(found, "batch")[0] == SECOND_LOOK
     assert words(found, "iekf")
     assert "sigma" in batch.cautions[0].text
 
@@ -64,7 +64,7 @@ def test_row_58_the_look_is_the_same_each_time_and_in_the_graph() -> None:
     assert found.track("batch").cautions == again.track("batch").cautions
     rows = with_smoothed(found.tracks)
     assert rows["incremental"].cautions == rows["incremental_smoothed"].cautions
-    assert words(found, "incremental_smoothed") == [SECOND_LOOK]
+    assert words(found, "incremental_smoothed")[0] == SECOND_LOOK
 
 
 def test_row_58_a_wrong_filter_is_told_by_the_smoother() -> None:

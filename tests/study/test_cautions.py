@@ -45,7 +45,9 @@ def test_row_58_a_study_says_how_many_runs_have_which_caution(tmp_path: Path) ->
     for key, runs in expected.items():
         assert listed[key] == f"in {len(runs)} of {RUNS} runs: {', '.join(map(str, runs))}"
     bent = len(expected["batch", "bent posterior"])
-    sentence = f"batch: runs with a caution, of {RUNS}: bent posterior {bent}."
+    own = sorted((name, len(runs)) for (row, name), runs in expected.items() if row == "batch")
+    counts = ", ".join(f"{name} {runs}" for name, runs in own)
+    sentence = f"batch: runs with a caution, of {RUNS}: {counts}."
     assert sentence in summary["verdict"]["text"]
     assert sentence in study_table(summary)
     assert f"caution: batch: bent posterior: in {bent} of {RUNS} runs" in study_table(summary)
