@@ -45,8 +45,11 @@ def main(passes: int = 20, epochs: int = 1000, jobs: int = 1) -> dict[float, dic
     """By factor of what is declared over the truth: median of found over true of the gyro's noise,
     and the part of all intervals that hold the truth."""
     cases = [(seed, wrong, epochs) for wrong, seed in product(WRONG, range(passes))]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        rows = list(pool.map(found, cases))
+    if jobs == 1:
+        rows = [found(case) for case in cases]
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            rows = list(pool.map(found, cases))
     out = {}
     print("declared / true   found / true (median)   told   in their 95 % intervals")
     for k, wrong in enumerate(WRONG):

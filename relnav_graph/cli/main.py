@@ -25,7 +25,7 @@ COMMANDS = {
     "study": "Make many runs of a scenario and say what they show together.",
     "tune": "Find noise parameters from the residuals of a pass.",
     "report": "Write one HTML file on a study or a comparison.",
-    "calibrate": "Find from a pass how sensors are mounted, and how late inputs are.",
+    "calibrate": "Find how sensors are mounted, and how late inputs are.",
     "validate": "Check a scenario or a data set: every error, with its path.",
     "list": "List models, estimators, truths, readers and scenarios.",
     "convert": "Convert between data folders, data sets and results.",

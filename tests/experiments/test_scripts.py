@@ -60,6 +60,20 @@ def test_tune_check_finds_a_gyro_noise_declared_wrong() -> None:
         assert row["inside"] >= 0.5, wrong
 
 
+def test_a_real_range_tells_the_distance() -> None:
+    root = os.environ.get("RELNAV_DATA")
+    if root is None:
+        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
+    found = _script("ranging_axes").main(Path(root) / "grace_kbr")
+    ranged, fixes = (found[case]["scored part"] for case in ("with the range", "without"))
+    assert ranged["distance_about_mean_mm"] <= 15
+    assert fixes["distance_about_mean_mm"] > 100
+    for axis in ("radial_m", "along_m", "across_m"):
+        assert ranged[axis] <= 1.05 * fixes[axis]
+    assert ranged["range_bias_inside_3_sigma"] == 1
+    assert ranged["range_drift_inside_3_sigma"] > 0.99
+
+
 def test_published_claims_rank_the_integrators(capsys: pytest.CaptureFixture[str]) -> None:
     found = _script("published_claims").main(runs=2, epochs=100)
     attitude = [
