@@ -230,14 +230,16 @@ def test_the_model_errs_on_the_real_orbits_as_the_scenario_says(
 def test_smoother_and_filter_on_the_real_orbits(
     real: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Over the middle half of twelve hours, at the noise of yang2016's laser, in four runs."""
+    """Over the middle half of twelve hours, at the noise of yang2016's laser, in four runs: what ten
+    have, 8.2 and 4.2 m, lies within or above their intervals."""
     arguments = ("study", GRACE, "--data", real, "-e", "ekf", "-e", "rts", "--runs", 4)
     code, out, err = relnav(capsys, *arguments, "--json")
     assert code == 0, err
     rows = json.loads(out)["estimators"]
-    errors = {n: row["states"]["relative_position"]["rmse"] for n, row in rows.items()}
-    assert errors["ekf"] <= 8.2
-    assert errors["rts"] <= 4.2
+    errors = {n: row["states"]["relative_position"] for n, row in rows.items()}
+    assert errors["ekf"]["rmse_ci"][0] <= 8.2
+    assert errors["rts"]["rmse_ci"][0] <= 4.2
+    assert errors["rts"]["rmse"] < 0.6 * errors["ekf"]["rmse"]
     assert all(0.7 < row["anees"] < 1.5 for row in rows.values())
 
 

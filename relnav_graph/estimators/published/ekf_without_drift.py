@@ -53,9 +53,10 @@ class EkfWithoutDrift:
 
 
 def drifts_of(problem: Problem, who: str) -> tuple[str, ...]:
-    """Names of the drifts in a problem's state. Raises ModelError, for the estimator `who`, when
-    there are none."""
-    found = tuple(name for name in DRIFTS if name in problem.layout)
+    """Names of the drifts in a problem's state, beside their biases. Raises ModelError, for the
+    estimator `who`, when there are none."""
+    layout = problem.layout
+    found = tuple(name for name, bias in DRIFTS.items() if name in layout and bias in layout)
     if not found:
         expected = ", ".join(DRIFTS)
         raise ModelError(f"{who}: found no drift in {problem.layout}, expected one of {expected}")
