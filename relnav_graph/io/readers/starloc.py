@@ -32,6 +32,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
 from relnav_graph.io.packed import one_file, read_rows
 from relnav_graph.maths import dense, so3
+from relnav_graph.units import Quantity
 
 __all__ = ["read"]
 
@@ -217,13 +218,14 @@ def read(
     sensor: str = "camera",
     imu_attitude: Sequence[float] | None = None,
     swapped: Mapping[str, Sequence[Sequence[int]]] | None = None,
+    begin: float = 0.0,
 ) -> Recording:
     """The recording of one run, of the folder that holds all runs.
 
     run: its name; sensor: name that the camera gets; imu_attitude: R_c,imu as a rotation vector,
     rad, by default from the camera's nominal mounting and the file's own between the two; swapped:
-    by environment ("v1"), pairs of tags that it has one for the other. Times are those of the
-    frames.
+    by environment ("v1"), pairs of tags that it has one for the other; begin: s, images
+    earlier than that after the first are left out. Times are those of the frames.
 
     Measurements: pixels (k, 4) in the order ul, vl, ur, vr of the tags' centres, ids the row of the
     tag among the places, from zero. Inputs: "gyro", w_ci_c, rad/s, the mean of the samples at both
@@ -236,7 +238,11 @@ def read(
     Raises InputError, with file and line, on files that are missing, damaged, or not of one run, on
     tags that have no place, and quaternions that are not of length one.
     """
-    inside = folder / run
+    if swapped is not None and not isinstance(swapped, Mapping):
+        raise InputError(
+            f"data.options.swapped: found {swapped!r}, expected pairs of tags by environment"
+        )
+    inside = folder / str(run)
     if not run or not inside.is_dir():
         runs = sorted(p.parent.name for p in folder.glob("*/calib.json"))
         raise InputError(f"data.options.run: found {run!r}, expected one of {', '.join(runs)}")
@@ -245,12 +251,14 @@ def read(
     table = _table(seen_in, ("time_s", "apriltag_id", *_PIXELS, *_RIG, *_CAMERA))
     path, points, rows = _tags(folder, run, swapped or {})
     t, begins, measurements = _frames(table, path, rows, sensor)
+    measurements = tuple(m for m in measurements if m.t >= t[0] + begin)
     R_cs, r_sc_c = _nominal(table)
     calib = _json(calibrated)
     q_wxyz = [_number(calibrated, calib, "tf_cam_imu", k) for k in ("w", "rot_x", "rot_y", "rot_z")]
     R_c_imu = R_cs @ _OPTICAL @ so3.from_quaternion(np.array(q_wxyz))
     if imu_attitude is not None:
-        R_c_imu = so3.exp(np.array(imu_attitude, dtype=np.float64))
+        turn = Quantity("rad", (3,)).parse(imu_attitude)
+        R_c_imu = so3.exp(np.array(turn, dtype=np.float64))
     imu = _table(moved_in, ("time_s", *_RATE, *_RIG))
     places = np.ascontiguousarray(table.values[begins, 6:9])
     stamps = imu.values[:, 0] - _clocks(t, places, imu)
