@@ -220,6 +220,24 @@ class Truth:
         rows = np.where(closer, before, rows)
         return rows, np.abs(self.t[rows] - times) <= SAME_TIME
 
+    def at_least_at(self, times: Array) -> Truth:
+        """The same with rows at all of the `times` (M,), s, that it lacks: not known, NaN."""
+        if not len(times) or not len(self.t):
+            return self
+        lacking = np.unique(times[~self.at(times)[1]])
+        if not len(lacking):
+            return self
+        t = np.concatenate([self.t, lacking])
+        order = np.argsort(t, kind="stable")
+
+        def filled(value: Array) -> Array:
+            unknown = np.full((len(lacking), *value.shape[1:]), np.nan)
+            return np.ascontiguousarray(np.concatenate([value, unknown])[order])
+
+        values = {name: filled(value) for name, value in self.values.items()}
+        sigmas = {n: filled(s) if len(s) == len(self.t) else s for n, s in self.sigmas.items()}
+        return replace(self, t=t[order], values=values, sigmas=sigmas)
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -264,7 +282,11 @@ class Recording:
     def without_lags(self, stamps: Mapping[str, Stamps]) -> Recording:
         """The same with the stamps of when it was so, for stamps that are so late; arrivals are as
         they were. stamps: of inputs and sensors, by name. Measurements that are moved may fall
-        between the epochs, and then make epochs of their own."""
+        between the epochs, and then make epochs of their own, whose truth is not known."""
         early = self.with_lags({n: Stamps(-one.lag) for n, one in stamps.items() if one.lag})
         moved = [m.t for m in early.measurements if m.sensor in stamps]
-        return replace(early, times=np.sort(np.concatenate([self.times, moved])))
+        late = np.array(
+            [m.t for m in early.measurements if m.sensor in stamps and stamps[m.sensor].lag]
+        )
+        truth = self.truth and self.truth.at_least_at(late)
+        return replace(early, times=np.sort(np.concatenate([self.times, moved])), truth=truth)

@@ -38,6 +38,12 @@ class Pass:
     run: int = 0
     flown: bool = False
 
+    def __post_init__(self) -> None:
+        # Measurements of a sensor that lags have epochs of their own, where no truth is known.
+        truth = self.recording.without_lags(self.scenario.stamps).truth
+        if truth is not self.recording.truth:
+            object.__setattr__(self, "recording", replace(self.recording, truth=truth))
+
     @cached_property
     def problem(self) -> Problem:
         """What estimators get, of a pass that is not flown; made once: a long one takes

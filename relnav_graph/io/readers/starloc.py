@@ -231,7 +231,7 @@ def read(
     tag among the places, from zero. Inputs: "gyro", w_ci_c, rad/s, the mean of the samples at both
     ends of each interval between them, on the clock of the frames.
     Truth: relative_attitude R_tc and relative_position r_tc_t of the rig, m, at the frames but for
-    those where it turns otherwise than the gyro: there the capture had lost the rig. Settings: what
+    those where it turns otherwise than the gyro: NaN, the capture had lost the rig. Settings: what
     the files say of the camera, its nominal mounting on the rig (in the frames, that of ``cam_*``),
     and places of the tags in t, m.
 
@@ -275,8 +275,9 @@ def read(
             " and is no truth",
             *(seen_in, len(t) - good.sum(), len(t), t[~good][0]),
         )
-    values = {"relative_attitude": R_tc[good], "relative_position": places[good]}
-    truth = Truth(t[good], values, f"motion capture, {run}/{seen_in.name}")
+    R_tc[~good], places[~good] = np.nan, np.nan
+    values = {"relative_attitude": R_tc, "relative_position": places}
+    truth = Truth(t, values, f"motion capture, {run}/{seen_in.name}")
     camera = {k: _number(calibrated, calib, k) for k in ("fu", "fv", "cu", "cv")}
     settings: dict[str, Any] = {
         **camera,
