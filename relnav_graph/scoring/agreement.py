@@ -18,6 +18,7 @@ from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track
 from relnav_graph.estimators.second_look import SECOND_LOOK
 from relnav_graph.scoring.bent_axes import axes_cautions
+from relnav_graph.scoring.wandering import wandering_cautions
 
 __all__ = ["REFERENCES", "distances", "row_cautions"]
 
@@ -99,8 +100,8 @@ def _overconfidence(track: Track, reference: Track) -> float:
 def row_cautions(
     rows: Mapping[str, Track], reference: str, apart: Mapping[str, float | None]
 ) -> dict[str, tuple[Caution, ...]]:
-    """The cautions of each row: its own, those of badly known axes, and what comparing it with the
-    reference says.
+    """The cautions of each row: its own, what comparing it with the reference says, and those of
+    badly known axes and of constants that a filter has given up.
 
     rows, reference, apart: as of `distances`. A posterior that is bent for the reference is so
     for all that estimate the same pass.
@@ -122,5 +123,5 @@ def row_cautions(
                     " its covariance allows, on average over the last three quarters of the pass"
                 )
                 own.append(Caution("overconfident", text))
-        found[name] = (*own, *axes_cautions(track))
+        found[name] = (*own, *axes_cautions(track), *wandering_cautions(track))
     return found
