@@ -10,13 +10,15 @@ import click
 import numpy as np
 import tomli_w
 
-from relnav_graph.cli.shared import command_line, show_events, show_progress
-from relnav_graph.errors import InputError
+from relnav_graph.cli.shared import check_fragment, command_line, show_events, show_progress
 from relnav_graph.io.atomic import atomic
 from relnav_graph.maths import so3
 from relnav_graph.runs.calibration import Calibration, MountFound, calibrate, tables_of
 from relnav_graph.runs.passes import open_pass
 from relnav_graph.units import unit_scale
+
+#: How a file of what was found begins: no other is written over.
+MARK = "# Found by: "
 
 
 def _off(m: MountFound) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -76,7 +78,7 @@ def as_text(found: Calibration) -> str:
 def as_toml(found: Calibration, command: str) -> str:
     """The fragment of a scenario: values, and sigmas of the mountings; covariances as comments."""
     head = [
-        f"# {command}",
+        f"{MARK}{command}",
         "# A scenario takes this as the last of its bases: base = [..., this file].",
         '# It then holds the mountings. With mounting = "estimated" in their sensors, they are',
         "# considered: counted with these sigmas, and not estimated.",
@@ -120,8 +122,7 @@ def command(
     found goes into a TOML file (-o), which another pass takes by `base` and holds.
     """
     show_events()
-    if out is not None and out.is_dir():
-        raise InputError(f"-o {out}: is a folder, expected a file")
+    check_fragment(out, MARK)
     opened = open_pass(scenario, seed, data, assignments)
     found = calibrate(
         opened,

@@ -15,7 +15,14 @@ from relnav_graph.estimators import find_estimator
 from relnav_graph.files import printable
 from relnav_graph.scoring.text import table as comparison_table
 
-__all__ = ["check_before_work", "command_line", "report", "show_events", "show_progress"]
+__all__ = [
+    "check_before_work",
+    "check_fragment",
+    "command_line",
+    "report",
+    "show_events",
+    "show_progress",
+]
 
 
 class _Events(logging.Handler):
@@ -52,6 +59,20 @@ def check_before_work(kinds: Sequence[str], out: Path | None) -> None:
         find_estimator(kind)
     if out is not None and out.exists() and not out.is_dir():
         raise InputError(f"-o {out}: is a file, expected a folder")
+
+
+def check_fragment(out: Path | None, mark: str) -> None:
+    """Refuse, before any work, to write a fragment of a scenario over a file that does not begin
+    with `mark`, as the fragments of its kind do. Raises InputError."""
+    if out is None or not out.exists():
+        return
+    if out.is_dir():
+        raise InputError(f"-o {out}: is a folder, expected a file")
+    if not out.read_bytes().startswith(mark.encode()):
+        raise InputError(
+            f"-o {out}: found a file that this command did not write, expected one that begins with"
+            f" {mark!r}; it stays as it is"
+        )
 
 
 def report(

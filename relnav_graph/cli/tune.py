@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.cli.shared import command_line, show_events, show_progress
-from relnav_graph.errors import InputError
+from relnav_graph.cli.shared import check_fragment, command_line, show_events, show_progress
 from relnav_graph.io.atomic import atomic
 from relnav_graph.runs.passes import open_pass
 from relnav_graph.runs.warm_up import warm_up
@@ -40,10 +39,7 @@ def command(
     The truth is not used. What is found goes, with -o, into a file that a scenario takes by
     `base`; noises that the pass cannot tell stay as they are declared.
     """
-    if out is not None and out.is_dir():
-        raise InputError(f"-o {out}: is a folder, expected a file")
-    if out is not None and out.exists() and not out.read_bytes().startswith(MARK.encode()):
-        raise InputError(f"-o {out}: is no file that `relnav tune` wrote; it stays as it is")
+    check_fragment(out, MARK)
     show_events()
     opened = open_pass(scenario, seed, data, assignments, number)
     warm_up(opened, ("batch",))

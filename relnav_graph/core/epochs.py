@@ -204,7 +204,8 @@ def make_epochs(
             between = float(stamps[k - 1]), float(t)
             for name, process in processes.items():
                 u[name] = process_inputs(process, inputs, *between)
-                held |= bridged(process, inputs, *between)
+                if u[name].shape[1] > 1 + sum(map(len, process.inputs.values())):  # with spreads
+                    held |= bridged(process, inputs, *between)
         epochs.append(Epoch(float(t), tuple(groups[k]), u, held))
     return tuple(epochs)
 

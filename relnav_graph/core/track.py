@@ -283,10 +283,10 @@ class Recording:
         """The same with the stamps of when it was so, for stamps that are so late; arrivals are as
         they were. stamps: of inputs and sensors, by name. Measurements that are moved may fall
         between the epochs, and then make epochs of their own, whose truth is not known."""
-        early = self.with_lags({n: Stamps(-one.lag) for n, one in stamps.items() if one.lag})
-        moved = [m.t for m in early.measurements if m.sensor in stamps]
-        late = np.array(
-            [m.t for m in early.measurements if m.sensor in stamps and stamps[m.sensor].lag]
-        )
-        truth = self.truth and self.truth.at_least_at(late)
+        lags = {name: Stamps(-one.lag) for name, one in stamps.items() if one.lag}
+        if not lags:
+            return self
+        early = self.with_lags(lags)
+        moved = np.array([m.t for m in early.measurements if m.sensor in lags])
+        truth = self.truth and self.truth.at_least_at(moved)
         return replace(early, times=np.sort(np.concatenate([self.times, moved])), truth=truth)

@@ -130,9 +130,8 @@ def calibrate(
         tuple(ParameterFound(p, float(v), float(s), bool(s < p.small)) for p, v, s in every),
         truth,
     )
-    misfits = [_misfit(scenario, opened)]
     with_it = make_scenario(merge(scenario.raw, tables_of(found)), scenario.name, {})
-    return replace(found, before=misfits[0], after=_misfit(with_it, opened))
+    return replace(found, before=_misfit(scenario, opened), after=_misfit(with_it, opened))
 
 
 def tables_of(found: Calibration) -> dict[str, Any]:

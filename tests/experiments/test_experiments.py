@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import pytest
-from passes import EXPERIMENTS, ZHANG
+from passes import EXPERIMENTS, ZHANG, recorded
 
 from relnav_graph.cli.main import main
 from relnav_graph.io.readers import read_raw
@@ -118,11 +117,8 @@ def test_zhang2015_at_full_size(capsys: pytest.CaptureFixture[str]) -> None:
 def test_starry_night_from_frame_131_on(capsys: pytest.CaptureFixture[str]) -> None:
     """Real data. The scenario's `evaluate` leaves out the first frames, in which no frame
     shows three points."""
-    root = os.environ.get("RELNAV_DATA")
-    if root is None:
-        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
     path = EXPERIMENTS / "starry_night.toml"
-    folder = Path(root) / "starry_night"
+    folder = recorded("starry_night")
     times = read_raw("starry_night", folder).times
     evaluate = load_scenario(path).file.evaluate
     assert evaluate is not None
@@ -144,10 +140,7 @@ def test_starry_night_from_frame_131_on(capsys: pytest.CaptureFixture[str]) -> N
 def test_starry_night_with_its_points_withheld(capsys: pytest.CaptureFixture[str]) -> None:
     """The same pass, which makes its own map: after one rigid alignment nearly as good as with the
     known one."""
-    root = os.environ.get("RELNAV_DATA")
-    if root is None:
-        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
-    path, folder = EXPERIMENTS / "starry_night_map.toml", Path(root) / "starry_night"
+    path, folder = EXPERIMENTS / "starry_night_map.toml", recorded("starry_night")
     rows = _compare(capsys, path, "--data", folder, "-e", "batch")
     aligned = rows["batch"]["aligned"]
     assert rows["batch"]["statics"]["point"]["count"] == 20

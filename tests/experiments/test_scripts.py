@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from passes import recorded
 
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.conduct import do_runs
@@ -61,10 +61,7 @@ def test_tune_check_finds_a_gyro_noise_declared_wrong() -> None:
 
 
 def test_a_real_range_tells_the_distance() -> None:
-    root = os.environ.get("RELNAV_DATA")
-    if root is None:
-        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
-    found = _script("ranging_axes").main(Path(root) / "grace_kbr")
+    found = _script("ranging_axes").main(recorded("grace_kbr"))
     ranged, fixes = (found[case]["scored part"] for case in ("with the range", "without"))
     assert ranged["distance_about_mean_mm"] <= 15
     assert fixes["distance_about_mean_mm"] > 100
@@ -102,10 +99,7 @@ def test_tracking_claims_tell_control_from_estimation(
 
 
 def test_astrobee_beats_its_authors() -> None:
-    root = os.environ.get("RELNAV_DATA")
-    if root is None:
-        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
-    found = _script("astrobee_authors").main(Path(root) / "astrobee_tumble")
+    found = _script("astrobee_authors").main(recorded("astrobee_tumble"))
     assert found["batch"][0] < 0.3 < found["authors, length only"][0]
 
 

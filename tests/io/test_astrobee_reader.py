@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from example_makers import HU_INERTIA
-from passes import EXPERIMENTS
+from passes import EXPERIMENTS, recorded
 from relnav_factors.derived.relative_pose import TargetRateInChaser
 from relnav_factors.sensors.pose_odometry import PoseOdometry
 
@@ -200,10 +199,7 @@ def test_without_ground_truth_there_is_none(folder: Path, tmp_path: Path) -> Non
 def test_the_published_run(capsys: pytest.CaptureFixture[str]) -> None:
     """Rate of the target within 0.24 deg/s, where the authors' own is at 1.2, and a covariance
     that says so."""
-    root = os.environ.get("RELNAV_DATA")
-    if root is None:
-        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
-    data = Path(root) / "astrobee_tumble"
+    data = recorded("astrobee_tumble")
     arguments = [str(EXPERIMENTS / "astrobee_tumble.toml"), "-e", "batch", "--data", str(data)]
     with pytest.raises(SystemExit) as stop:
         main(["compare", *arguments, "--json"])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from passes import EXPERIMENTS, relnav
+from passes import EXPERIMENTS, recorded, relnav
 from relnav_factors.dynamics.relative_two_body import RelativeTwoBody
 
 from relnav_graph.arrays import Array
@@ -181,10 +180,7 @@ def test_what_to_simulate_must_be_a_sensor(capsys: pytest.CaptureFixture[str]) -
 
 @pytest.fixture
 def real() -> Path:
-    root = os.environ.get("RELNAV_DATA")
-    if not root or not (Path(root) / "grace_fo").is_dir():
-        pytest.skip("RELNAV_DATA does not name a folder with the GRACE-FO orbits")
-    return Path(root) / "grace_fo"
+    return recorded("grace_fo")
 
 
 def test_the_real_orbits_are_what_their_header_says(real: Path) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import gzip
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from passes import EXPERIMENTS, relnav
+from passes import EXPERIMENTS, recorded, relnav
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
@@ -159,10 +158,7 @@ def test_files_that_are_missing_damaged_or_of_another_pass(tmp_path: Path) -> No
 
 @pytest.fixture
 def real() -> Path:
-    root = os.environ.get("RELNAV_DATA")
-    if not root or not (Path(root) / "grace_kbr").is_dir():
-        pytest.skip("RELNAV_DATA does not name a folder with the GRACE K-band range")
-    return Path(root) / "grace_kbr"
+    return recorded("grace_kbr")
 
 
 def test_real_range_and_real_orbits_agree_to_a_centimetre(real: Path) -> None:

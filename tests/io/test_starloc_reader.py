@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from passes import EXPERIMENTS, relnav
+from passes import EXPERIMENTS, recorded, relnav
 
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
@@ -208,10 +207,7 @@ def test_a_run_that_is_none(tmp_path: Path) -> None:
 
 @pytest.fixture
 def real() -> Path:
-    root = os.environ.get("RELNAV_DATA")
-    if not root or not (Path(root) / "starloc").is_dir():
-        pytest.skip("RELNAV_DATA does not name a folder with the STAR-loc runs")
-    return Path(root) / "starloc"
+    return recorded("starloc")
 
 
 @pytest.mark.parametrize(("run", "most"), [("eight_s2", 0.055), ("loop-2d_s1", 0.045)])

@@ -1,12 +1,12 @@
 """The reader of Starry Night data: its conventions, proved by reprojection and by rates."""
 
-import os
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from passes import recorded
 from scipy.io import loadmat, savemat
 
 from relnav_graph.arrays import Array
@@ -216,10 +216,7 @@ def test_wrong_folders_files_and_options(tmp_path: Path) -> None:
 
 @pytest.fixture
 def real() -> Path:
-    root = os.environ.get("RELNAV_DATA")
-    if not root or not (Path(root) / "starry_night").is_dir():
-        pytest.skip("RELNAV_DATA does not name a folder with the Starry Night data")
-    return Path(root) / "starry_night"
+    return recorded("starry_night")
 
 
 def test_conventions_agree_with_the_real_data(real: Path) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from passes import EXPERIMENTS, relnav
+from passes import EXPERIMENTS, recorded, relnav
 
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3
@@ -111,16 +110,9 @@ def test_lag_and_baseline_of_a_pass_that_has_neither_wrong(folder: Path) -> None
     assert baseline.told
 
 
-def _data() -> Path:
-    root = os.environ.get("RELNAV_DATA")
-    if root is None:
-        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
-    return Path(root) / "starry_night"
-
-
 def test_the_camera_and_the_gyro_of_starry_night(tmp_path: Path, capsys: Capture) -> None:
     """From 250 frames, what holds on the next ones."""
-    data, nominal = _data(), EXPERIMENTS / "starry_night_nominal.toml"
+    data, nominal = recorded("starry_night"), EXPERIMENTS / "starry_night_nominal.toml"
     frames = "data.options.frames=[131,380]"
     options = ("--data", data, "--lag", "gyro", "--set", frames)
     fragment = tmp_path / "found.toml"

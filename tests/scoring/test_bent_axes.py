@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
-from passes import ZHANG
+from passes import ZHANG, recorded
 
 from relnav_graph.core.catalogue import BODY_RATE, RELATIVE_POSITION, TARGET_ATTITUDE
 from relnav_graph.core.scored import InAxes
@@ -76,13 +73,10 @@ def test_none_on_zhang2015(seed: int) -> None:
 
 
 def test_one_on_astrobee_tumble() -> None:
-    root = os.environ.get("RELNAV_DATA")
-    if root is None:
-        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
     path = ZHANG.with_name("astrobee_tumble.toml")
     from relnav_graph.runs.comparison import compare
 
-    row = compare(path, ["batch"], data=Path(root) / "astrobee_tumble").summary
+    row = compare(path, ["batch"], data=recorded("astrobee_tumble")).summary
     assert BENT_AXES in [c["name"] for c in row["estimators"]["batch"]["cautions"]]
     assert row["estimators"]["batch"]["status"] == "ok"
     assert row["estimators"]["batch"]["anees_without"] <= 1.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -120,6 +121,16 @@ def differences(layout: Layout, a: Array, b: Array) -> Array:
 
 
 # --- the command line ---------------------------------------------------------------------
+
+
+def recorded(name: str) -> Path:
+    """The folder of a recorded data set; skips where nobody says where the data are."""
+    root = os.environ.get("RELNAV_DATA")
+    if not root:
+        pytest.skip("RELNAV_DATA does not name the folder with the recorded data")
+    folder = Path(root) / name
+    assert folder.is_dir(), f"{folder}: no such folder, but RELNAV_DATA is set"
+    return folder
 
 
 def relnav(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:

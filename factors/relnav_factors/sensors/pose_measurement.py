@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.attitude import QUATERNION, attitude_residual, turned, unit_quaternions
-from relnav_factors.shared.mounting import PlacedSensor, mounting_of, without_mounting
-from relnav_factors.shared.points import Pose, pose_blocks
+from relnav_factors.shared.attitude import attitude_residual, turned
+from relnav_factors.shared.mounting import mounting_of, without_mounting
+from relnav_factors.shared.points import pose_blocks
+from relnav_factors.shared.pose_sensor import PoseSensor
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import (
@@ -20,10 +21,8 @@ from relnav_graph.core.catalogue import (
     RELATIVE_POSITION_T,
     TARGET_ATTITUDE,
 )
-from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
-from relnav_graph.units import Quantity
 
 
 @jit
@@ -83,7 +82,7 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseMeasurement(PlacedSensor):
+class PoseMeasurement(PoseSensor):
     """Pose of a body s on the chaser relative to the target: z = (r_ts_t, q_wxyz of R_ts).
 
         R_ts = R_tc R_cs,  r_ts_t = r_tc_t + R_tc r_sc_c
@@ -98,25 +97,11 @@ class PoseMeasurement(PlacedSensor):
     """
 
     kind: ClassVar[str] = "pose_measurement"
-    columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m", *QUATERNION)
-    rows: ClassVar[int] = 6
     kernel = staticmethod(kernel)
-
-    position_sigma: Annotated[Array, Quantity("m", (3,), positive=True, fill=True)]
-    attitude_sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
-    pose: Pose = "orbital"
 
     @property
     def reads(self) -> tuple[Block, ...]:
         return *pose_blocks(self.pose), *self.mounting_blocks
-
-    def accept(self, z: Array) -> Array:
-        """r_ts_t (m) and unit quaternions, (k, 7).
-
-        Raises InputError when the length of a quaternion is not 1 within 1e-3.
-        """
-        z = super().accept(z)
-        return np.hstack([z[:, :3], unit_quaternions(self.kind, z[:, 3:])])
 
     def predict(self, ids: Indices, *x: Array) -> Array:
         """r_ts_t (m) and q_wxyz of R_ts, (k, 7), w >= 0."""
@@ -144,7 +129,3 @@ class PoseMeasurement(PlacedSensor):
         elif CHASER_ATTITUDE.name in known:
             R_ot = known[CHASER_ATTITUDE.name] @ R_tc.T
             yield {TARGET_ATTITUDE.name: R_ot, RELATIVE_POSITION.name: R_ot @ r_tc_t}
-
-    def noise(self, m: Measurement) -> Array:
-        sigma = np.concatenate([self.position_sigma, self.attitude_sigma])
-        return np.tile(np.diag(sigma**2), (len(m.z), 1, 1))

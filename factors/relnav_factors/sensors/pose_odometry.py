@@ -9,12 +9,12 @@ import numpy as np
 
 from relnav_factors.sensors.attitude_odometry import turn_between
 from relnav_factors.sensors.pose_copy import PoseCopy, copier_of, earlier_blocks
-from relnav_factors.shared.attitude import QUATERNION, attitude_residual, turned, unit_quaternions
-from relnav_factors.shared.mounting import PlacedSensor, mounting_of, without_mounting
-from relnav_factors.shared.points import Pose, point_seen, pose_blocks
+from relnav_factors.shared.attitude import attitude_residual, turned
+from relnav_factors.shared.mounting import mounting_of, without_mounting
+from relnav_factors.shared.points import point_seen, pose_blocks
+from relnav_factors.shared.pose_sensor import PoseSensor
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
-from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity
@@ -82,7 +82,7 @@ def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseOdometry(PlacedSensor):
+class PoseOdometry(PoseSensor):
     """Motion of the sensor relative to the target between two epochs: T_s-s.
 
     z = (r, q_wxyz): r = R_cs^T R_tc-^T (p - p-) with p = r_tc_t + R_tc r_sc_c, the present
@@ -101,14 +101,9 @@ class PoseOdometry(PlacedSensor):
     """
 
     kind: ClassVar[str] = "pose_odometry"
-    columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m", *QUATERNION)
-    rows: ClassVar[int] = 6
     kernel = staticmethod(kernel)
 
-    position_sigma: Annotated[Array, Quantity("m", (3,), positive=True, fill=True)]
-    attitude_sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
     scene_centre: Annotated[Array, Quantity("m", (3,))] = field(default_factory=lambda: np.zeros(3))
-    pose: Pose = "orbital"
     keyframe: Annotated[float, Quantity("s")] | None = None
     largest_turn: Annotated[float, Quantity("rad", positive=True)] = np.pi
 
@@ -130,14 +125,6 @@ class PoseOdometry(PlacedSensor):
         turn = so3.log(pose_between(self.constants(), packed)[0])
         return ids if dense.norm(turn) <= self.largest_turn else ids[:0]
 
-    def accept(self, z: Array) -> Array:
-        """r (m) and unit quaternions, (k, 7).
-
-        Raises InputError when the length of a quaternion is not 1 within 1e-3.
-        """
-        z = super().accept(z)
-        return np.hstack([z[:, :3], unit_quaternions(self.kind, z[:, 3:])])
-
     def predict(self, ids: Indices, *x: Array) -> Array:
         """r (m) and q_wxyz, (k, 7), w >= 0."""
         packed = np.concatenate([np.ravel(value) for value in x])
@@ -153,7 +140,3 @@ class PoseOdometry(PlacedSensor):
             swing = so3.from_quaternion(before) - so3.from_quaternion(after)
             row[:3] += swing @ self.scene_centre
         return out
-
-    def noise(self, m: Measurement) -> Array:
-        sigma = np.concatenate([self.position_sigma, self.attitude_sigma])
-        return np.tile(np.diag(sigma**2), (len(m.z), 1, 1))
