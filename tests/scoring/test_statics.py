@@ -162,7 +162,7 @@ def test_a_filter_that_is_sure_of_a_wrong_constant_is_overconfident() -> None:
     rows = {"ekf": wrong, "batch": reference}
     name, apart = distances(rows)
     found = row_cautions(rows, name, apart)["ekf"]
-    assert [c.name for c in found] == ["overconfident"]
+    assert [c.name for c in found] == ["overconfident", "wandering constants"]
 
 
 def test_the_table_has_constants_apart() -> None:
