@@ -16,8 +16,9 @@ from relnav_graph.cli.shared import check_before_work, show_events, show_progres
 from relnav_graph.estimators.online.driver import online
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.streaming.beginning import prior_values
 from relnav_graph.streaming.journal import Journal, Policy
-from relnav_graph.streaming.lines import Header, header_of, prior_values
+from relnav_graph.streaming.lines import Header, header_of
 from relnav_graph.streaming.output import Output
 from relnav_graph.streaming.run import (
     Interrupted,

@@ -31,6 +31,7 @@ __all__ = [
     "Mappable",
     "Mountable",
     "NamesDirections",
+    "NamesResiduals",
     "ProposesStarts",
     "ReadsCopies",
     "ReadsNumbered",
@@ -207,6 +208,14 @@ class ProposesStarts(Protocol):
         Values, and those in `known` of the other blocks: (3, 3) or (dim,), SI, in the block's
         frame.
         """
+
+
+@runtime_checkable
+class NamesResiduals(Protocol):
+    """A sensor whose residual rows are not its columns: their names, with units, so that a table
+    can state their noise (`relnav_graph.io.noise_columns`)."""
+
+    residual_columns: tuple[str, ...]
 
 
 @runtime_checkable

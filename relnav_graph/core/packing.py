@@ -34,7 +34,7 @@ def without_repeats(epoch: Epoch) -> tuple[Epoch, Repeats]:
         if not fresh.all():
             repeats.append((m.sensor, m.t, tuple(int(i) for i in m.ids[~fresh])))
         if fresh.all() or fresh.any():
-            kept.append(m if fresh.all() else replace(m, z=m.z[fresh], ids=m.ids[fresh]))
+            kept.append(m if fresh.all() else m.only(fresh))
     return (replace(epoch, measurements=tuple(kept)) if repeats else epoch), repeats
 
 
@@ -123,6 +123,8 @@ def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
             out[name] = m.z
             out[f"{k}.ids.{j}.{m.sensor}"] = m.ids.astype(np.float64)
             out[f"{k}.stamps.{j}.{m.sensor}"] = np.array([m.t, arrival])
+            if m.R is not None:
+                out[f"{k}.R.{j}.{m.sensor}"] = m.R
         for process, u in epoch.inputs.items():
             out[f"{k}.u.{process}"] = np.asarray(u, dtype=np.float64)
     return out
@@ -143,9 +145,9 @@ def unpack(arrays: Mapping[str, Array]) -> list[Epoch]:
             rest = f"{parts[2]}.{parts[3]}"
             t, arrival = arrays[f"{parts[0]}.stamps.{rest}"]
             ids = arrays[f"{parts[0]}.ids.{rest}"].astype(np.int64)
-            m = Measurement(
-                parts[3], float(t), value, ids, None if np.isnan(arrival) else float(arrival)
-            )
+            when = None if np.isnan(arrival) else float(arrival)
+            R = arrays.get(f"{parts[0]}.R.{rest}")
+            m = Measurement(parts[3], float(t), value, ids, when, R=R)
             measurements.setdefault(int(parts[0]), {})[int(parts[2])] = m
         elif len(parts) > 2 and parts[1] == "u":
             name = key.split(".", 2)[2]

@@ -4,14 +4,16 @@
 
     scenario.toml         the scenario
     epochs.csv            t_s; optional, else the times of the measurements
-    <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s; of one that closes
-                          loops, t_from_s, the time of the earlier epoch
+    <sensor>.csv          t_s, id (not needed where there is but one thing to see), the columns of
+                          the sensor; maybe t_arrival_s, and noise row by row (`noise_columns`); of
+                          one that closes loops, t_from_s, the time of the earlier epoch
     <input>.csv           t_start_s, t_end_s, the columns that its process declares
     truth_<block>.csv     t_s, the columns of `component_columns`; optional; maybe `sigma_columns`
     truth_<family>.csv    id, the same columns: of numbered blocks, such as points
     dataset.toml          format, settings that the data bring, digests; optional
 
-Units are SI and stand in the names of the columns; one row is one observation, in order of time.
+Units are SI and stand in the names of the columns, which come in any order; further ones are said
+once and not read. One row is one observation, in order of time, or sorted on request ([data] sort).
 An input may have one column ``t_s`` in place of two: a row is then the mean since the row before,
 and the first row only says when the first interval starts; where rows are missing, the scenario's
 [gaps] says what is done. The input ``thrust`` may be a table of manoeuvres, see
@@ -49,13 +51,13 @@ from relnav_graph.files import check_name, file_in, read_file
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.closures import (
     by_keyframe,
-    earlier_times,
     grouped,
     keyframes_in,
     of_closures,
 )
 from relnav_graph.io.manoeuvres import read_manoeuvres
 from relnav_graph.io.maps import family_table
+from relnav_graph.io.sensor_tables import measurements_in, sensor_columns
 from relnav_graph.io.tabular import (
     Format,
     Table,
@@ -92,32 +94,10 @@ def _need_table(folder: Path, stem: str) -> Table:
     return table
 
 
-def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
-    """One measurement per time of a sensor's table."""
-    table.require(("t_s", "id", *sensor.columns), optional=("t_arrival_s",))
-    table.increasing("t_s", strictly=False)
-    t, raw_ids, z = table["t_s"], table["id"], table.stack(sensor.columns)
-    whole = (raw_ids == np.rint(raw_ids)) & (np.abs(raw_ids) < 2.0**53)
-    table.refuse(~whole, "id", "a whole number below 2^53")
-    ids = raw_ids.astype(np.int64)
-    order = np.lexsort((ids, t))
-    repeated = np.zeros(len(t), dtype=bool)
-    repeated[order[1:]] = (np.diff(t[order]) == 0) & (np.diff(ids[order]) == 0)
-    table.refuse(repeated, "id", "an id once at each time: a duplicate")
-    first = np.diff(t, prepend=-np.inf) > 0
-    arrival = table.columns.get("t_arrival_s")
-    if arrival is not None:
-        same = np.concatenate(([True], arrival[1:] == arrival[:-1]))
-        table.refuse(~(first | same), "t_arrival_s", "the same for all rows of one time")
-    edges = np.append(np.nonzero(first)[0], len(t))
-    return [
-        Measurement(name, t[i], z[i:j], ids[i:j], None if arrival is None else arrival[i])
-        for i, j in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-    ]
-
-
-def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
+def _input(folder: Path, name: str, channels: tuple[str, ...], sort: bool) -> InputSeries:
     table = _need_table(folder, name)
+    if sort:
+        table = table.sorted_by("t_s" if "t_s" in table.columns else "t_start_s")
     if channels == THRUST_COLUMNS and "dvx_m_s" in table.columns:
         return read_manoeuvres(table, name)
     if "t_s" in table.columns:
@@ -223,13 +203,16 @@ def read_dataset(
     statics: Container[str] = (),
     origin: float = 0.0,
     late: Container[str] = (),
+    sort: bool = False,
+    gap: float | None = None,
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
     inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
     which of the blocks are static, see `relnav_graph.io.truth.read_truth`; origin: what stamps say
     at t = 0 of the clock of the sensors' keyframes, s; late: sensors whose stamps are not those of
-    epochs, since they lag.
+    epochs, since they lag; sort: put rows that are out of order of time in order; gap: s,
+    see `relnav_graph.io.truth.read_truth`.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -247,41 +230,16 @@ def read_dataset(
     for name, own in grouped(sensors).items():
         closures = of_closures(own)
         parts = by_keyframe(tables[name], own, origin) if closures else {name: tables[name]}
-        measurements += [m for n, part in parts.items() for m in _measurements(part, n, own[n])]
+        measurements += [
+            m for n, part in parts.items() for m in measurements_in(part, n, own[n], sort)
+        ]
     measurements.sort(key=lambda m: m.t)
     on_time = [table for name, table in tables.items() if name not in late]
     times = _epochs(folder, on_time, measurements, merge)
-    series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
+    series = {name: _input(folder, name, columns, sort) for name, columns in inputs.items()}
     source = manifest.get("truth_source", "")
-    truth = read_truth(folder, blocks, times, source, statics, families(sensors))
+    truth = read_truth(folder, blocks, times, source, statics, families(sensors), gap, sort)
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
-
-
-def _sensor_columns(
-    name: str, sensors: Mapping[str, Sensor], measurements: Iterable[Measurement], origin: float
-) -> Columns:
-    """The table of a sensor, or of those that close loops to its keyframes: a row per observation,
-    in order of time."""
-    sensor = next(iter(sensors.values()))
-    own = sorted((m for m in measurements if m.sensor in sensors), key=lambda m: m.t)
-    for m in own:
-        if m.z.shape[1] != len(sensor.columns):
-            raise InputError(
-                f"sensor {name!r} at t = {m.t} s: z has {m.z.shape[1]} columns,"
-                f" expected {', '.join(sensor.columns)}"
-            )
-    counts = [len(m.z) for m in own]
-    z = np.concatenate([np.zeros((0, len(sensor.columns))), *(m.z for m in own)])
-    columns: dict[str, NDArray[Any]] = {
-        "t_s": np.repeat([m.t for m in own], counts),
-        **earlier_times(own, sensors, origin),
-        "id": np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for m in own)]),
-        **dict(zip(sensor.columns, z.T, strict=True)),
-    }
-    if any(m.t_arrival is not None for m in own):
-        arrival = [m.t if m.t_arrival is None else m.t_arrival for m in own]
-        columns["t_arrival_s"] = np.repeat(arrival, counts)
-    return columns
 
 
 def _truth_columns(block: Block, truth: Truth) -> Columns:
@@ -312,7 +270,7 @@ def _tables(
     for name in (*sensors, *recording.inputs):
         check_name("a table", name, _LONGEST)
     for name, own in grouped(sensors).items():
-        tables.append((name, _sensor_columns(name, own, recording.measurements, origin)))
+        tables.append((name, sensor_columns(name, own, recording.measurements, origin)))
     for name, series in recording.inputs.items():
         if name not in inputs:
             raise InputError(f"unknown input {name!r}; known are {', '.join(inputs)}")

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,8 +40,16 @@ __all__ = [
 
 Format = Literal["csv", "parquet"]
 
+_LOG = logging.getLogger(__name__)
+
 #: What other programs separate columns by.
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+
+
+@cache
+def _note(text: str) -> None:
+    """Log a note once: a table may be read more than once."""
+    _LOG.info(text)
 
 
 def component_columns(block: Block) -> tuple[str, ...]:
@@ -118,15 +129,43 @@ class Table:
         return self.stack(columns)
 
     def require(self, columns: Sequence[str], optional: Sequence[str] = ()) -> None:
-        """Raise InputError unless the table has just these columns."""
-        missing = [c for c in columns if c not in self.columns]
+        """Raise InputError where the table lacks one of `columns`, or has one that is nearly one of
+        `optional`; what else it has is said once, and not read."""
         unknown = [c for c in self.columns if c not in (*columns, *optional)]
-        for what, names in (("no", missing), ("unknown", unknown)):
-            if names:
+        for name in columns:
+            if name not in self.columns:
                 raise InputError(
-                    f"{self.path}, line 1: {what} column {names[0]!r};"
-                    f" found {', '.join(self.columns)}; expected {', '.join(columns)}"
+                    f"{self.path}, line 1: no column {name!r}; found {', '.join(self.columns)};"
+                    f" expected {', '.join(columns)}"
                 )
+        for name in unknown:
+            meant = get_close_matches(name, [c for c in optional if c not in self.columns], 1, 0.85)
+            if not meant and name.startswith(("sigma_", "cov_")):  # a noise must not be lost
+                raise InputError(
+                    f"{self.path}, line 1: unknown column {name!r}; expected of noise:"
+                    f" {', '.join(c for c in optional if c[:4] in ('sigm', 'cov_')) or 'none'}"
+                )
+            if meant:
+                raise InputError(
+                    f"{self.path}, line 1: unknown column {name!r}; is it {meant[0]!r}?"
+                )
+        if unknown:
+            _note(f"{self.path}: not read: column{'s' * (len(unknown) > 1)} {', '.join(unknown)}")
+
+    def sorted_by(self, column: str) -> Table:
+        """The table with its rows in order of a column, those of the same value as they stood; says
+        how many rows it moved, if any."""
+        order = np.argsort(self[column], kind="stable")
+        moved = int((order != np.arange(len(order))).sum())
+        if not moved:
+            return self
+        back = int((np.diff(self[column]) < 0).sum())
+        _note(
+            f"{self.path}: sorted by {column}: {moved} of {len(order)} rows moved; {back} stood"
+            " before a row of an earlier time"
+        )
+        columns = {name: values[order] for name, values in self.columns.items()}
+        return Table(self.path, columns, self.lines[order])
 
     def increasing(self, column: str, strictly: bool = True) -> None:
         """Raise InputError where a time is not after (or is before) the row above."""
@@ -151,9 +190,9 @@ def _text(path: Path) -> str:
         ) from error
 
 
-def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
     """Lines with something on them, and their numbers."""
-    reader = csv.reader(io.StringIO(_text(path), newline=""))
+    reader = csv.reader(io.StringIO(text, newline=""))
     try:
         for row in reader:
             if row:
@@ -186,7 +225,32 @@ def _header(path: Path, line: int, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _read_csv(path: Path) -> Table:
-    rows = _csv_rows(path)
+    """All columns of a file, fast; one that is not plain numbers goes to the parser that can say
+    what is wrong, and where."""
+    text = _text(path)
+    return _read_plain(path, text) or _read_with_care(path, text)
+
+
+def _read_plain(path: Path, text: str) -> Table | None:
+    """The table of a text without quotes, whose lines all have as many numbers as there are names,
+    None of another: the same bits, four times as fast as `_read_with_care`."""
+    names, _, body = text.partition("\n")
+    if '"' in text or not names.strip() or not body.strip():
+        return None
+    header = _header(path, 1, next(csv.reader([names])))
+    try:
+        values = np.loadtxt(io.StringIO(body), delimiter=",", comments=None, ndmin=2)
+    except ValueError:
+        return None
+    # As many rows as lines: none was empty, so that each row's line is known.
+    if values.shape != (body.rstrip("\r\n").count("\n") + 1, len(header)):
+        return None
+    columns = {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
+    return Table(path, columns, np.arange(2, len(values) + 2))
+
+
+def _read_with_care(path: Path, text: str) -> Table:
+    rows = _csv_rows(path, text)
     first, names = next(rows, (1, []))
     header = _header(path, first, names)
     lines, cells = [], []
@@ -200,6 +264,8 @@ def _read_csv(path: Path) -> Table:
         lines.append(line)
         cells.append(row)
     try:
+        if any("_" in cell for row in cells for cell in row):
+            raise ValueError  # NumPy, too, reads 1_1 as 11
         values = np.array(cells, dtype=np.float64).reshape(-1, len(header))
     except ValueError:
         values = np.array([[_number(cell) for cell in row] for row in cells])

@@ -12,6 +12,7 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.state import UNIT_QUATERNION, Block, Layout
 from relnav_graph.core.track import Truth, at_all_times
+from relnav_graph.errors import InputError
 from relnav_graph.io.tabular import (
     Table,
     component_columns,
@@ -30,20 +31,21 @@ _GAP = 1.5
 _TURN = 2.0
 
 
-def between(block: Block, t: Array, values: Array, times: Array) -> Array:
+def between(block: Block, t: Array, values: Array, times: Array, gap: float | None = None) -> Array:
     """Values at `times` (M,), s, between rows at t (N,), s: (N, ...) gives (M, ...).
 
     The cubic through the two rows before and the two after, in the tangent space of the row
     before (Lagrange; on SO(3) with two rows this is SLERP); of lower order where a row is
-    missing there. NaN before the first row, after the last, in gaps (more than 1.5 times the
-    median step) and where an attitude turns by more than 2 rad from row to row.
+    missing there. NaN before the first row, after the last, in gaps (more than `gap`, s, by
+    default 1.5 times the median step) and where an attitude turns by more than 2 rad from row to
+    row.
     """
     n, out = len(t), np.full((len(times), *values.shape[1:]), np.nan)
     if n < 2:
         return out
     layout, x, step = Layout([block]), values.reshape(n, -1), np.diff(t)
     size = np.linalg.norm(layout.local(x[:-1], x[1:]), axis=1)
-    near = step <= _GAP * np.median(step)
+    near = step <= (_GAP * np.median(step) if gap is None else gap)
     if block.manifold == "SO3":
         near &= size <= _TURN
     k = np.searchsorted(t, times, side="right") - 1
@@ -76,7 +78,7 @@ def between(block: Block, t: Array, values: Array, times: Array) -> Array:
     return out
 
 
-def _table(folder: Path, block: Block, constant: bool) -> Table | None:
+def _table(folder: Path, block: Block, constant: bool, sort: bool) -> Table | None:
     table = read_table(folder, f"truth_{block.name}")
     if table is None:
         return None
@@ -85,6 +87,8 @@ def _table(folder: Path, block: Block, constant: bool) -> Table | None:
         table.require(columns, sigmas)
     else:
         table.require(("t_s", *columns), sigmas)
+        if sort:
+            table = table.sorted_by("t_s")
         table.increasing("t_s")
     if block.manifold == "SO3":
         norm = np.linalg.norm(table.stack(columns), axis=1)
@@ -109,10 +113,12 @@ def _missed(block: Block, t: Array, values: Array) -> str:
     return f" (left out, its own rows would be missed by {missed:.2g} {block.table_unit})"
 
 
-def _at_epochs(table: Table, block: Block, t: Array, values: Array, epochs: Array) -> Array:
+def _at_epochs(
+    table: Table, block: Block, t: Array, values: Array, epochs: Array, gap: float | None
+) -> Array:
     """Values at `epochs` (M,), s: of the row of that time, or between rows; says what is not."""
     rows, same = Truth(t, {}).at(epochs)
-    found = between(block, t, values, epochs)
+    found = between(block, t, values, epochs, gap)
     made = np.isfinite(found.reshape(len(epochs), -1)).all(axis=1) & ~same
     if len(t):
         found[same] = values[rows[same]]
@@ -138,20 +144,23 @@ def read_truth(
     source: str,
     statics: Container[str] = (),
     numbered: Mapping[str, Block] | None = None,
+    gap: float | None = None,
+    sort: bool = False,
 ) -> Truth | None:
     """Truth of those of `blocks` that have a table ``truth_NAME``, at all their times, and at the
     `epochs` (M,), s, between them.
 
     source: where it is from; statics: names of static blocks, which are known at all times where
     all rows of their table are the same; one row needs no time; numbered: families of numbered
-    blocks, whose table has a row for each, by its id. Columns of sigmas (`sigma_columns`), all or
+    blocks, whose table has a row for each, by its id; gap: s, between rows further apart nothing is
+    interpolated; sort: put rows in order of time. Columns of sigmas (`sigma_columns`), all or
     none, say how good the truth itself is. None without any table. Raises
     InputError, naming file, line and column, on a table with other columns, times that do not
     increase, or a quaternion whose length is not one within 1e-3; it is normalised.
     """
     found = {}
     for name, block in blocks.items():
-        table = _table(folder, block, name in statics)
+        table = _table(folder, block, name in statics, sort)
         if table is not None:
             known = from_components(block, table.stack(component_columns(block)))
             found[name] = table, known
@@ -178,7 +187,7 @@ def read_truth(
             values[name] = at_all_times(known[0], len(times))
             continue
         values[name] = np.full((len(times), *known.shape[1:]), np.nan)
-        values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs)
+        values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs, gap)
         values[name][np.searchsorted(times, table["t_s"])] = known
     values |= {name: at_all_times(X, len(times)) for name, X in maps.items()}
     tiled = {n: S if S.ndim > 1 else at_all_times(S, len(times)) for n, S in sigmas.items()}
@@ -196,6 +205,10 @@ def _members(table: Table, block: Block) -> tuple[dict[str, Array], dict[str, Ar
     """True values (dim,) of numbered blocks, and their sigmas (dim,) where given, by name."""
     columns = component_columns(block)
     table.require(("id", *columns), sigma_columns(block))
+    if "t_s" in table.columns:
+        raise InputError(
+            f"{table.path}, line 1: found a column t_s, expected none: points are fixed"
+        )
     ids = table["id"]
     whole = (ids >= 0) & (ids < 2.0**53) & (ids == np.rint(ids))
     table.refuse(~whole, "id", "a number of a block, 0 or more, below 2^53")

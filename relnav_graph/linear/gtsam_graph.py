@@ -7,7 +7,7 @@ Variables of your own take keys that none of these have: any symbol with a capit
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -161,7 +161,7 @@ class PassFactors:
     def _each(self, m: Measurement) -> list[Measurement]:
         """The observations of a measurement, each by itself; made once."""
         if m not in self._split:
-            self._split[m] = [replace(m, z=m.z[[i]], ids=m.ids[[i]]) for i in range(len(m.z))]
+            self._split[m] = [m.only([i]) for i in range(len(m.z))]
         return self._split[m]
 
     def _assembled(

@@ -52,10 +52,15 @@ def _warn(text: str) -> None:
 def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
     """Noise covariances R (k, rows, rows) of the k observations of a measurement.
 
-    Raises ModelError when the sensor gives another shape, InputError when R is not symmetric.
+    Those that came with the data, or else those that the sensor says. Raises ModelError when the
+    sensor gives another shape, InputError when the data do, or when R is not symmetric.
     """
-    noise = np.asarray(sensor.noise(m))
     expected = (len(m.z), sensor.rows, sensor.rows)
+    if m.R is not None and m.R.shape != expected:
+        raise InputError(
+            f"sensor {name!r} at t = {m.t} s: R of the residual is {m.R.shape}, expected {expected}"
+        )
+    noise = np.asarray(sensor.noise(m)) if m.R is None else m.R
     if noise.shape != expected:
         raise ModelError(
             f"sensor {name!r} at t = {m.t} s: noise gives {noise.shape}, expected {expected}"
@@ -82,8 +87,8 @@ def inverse_cholesky(where: str, covariances: Array) -> Array:
     covariances: (..., n, n). Returns (..., n, n), lower triangular. Raises InputError unless
     every covariance is positive definite.
     """
-    scale = np.sqrt(np.einsum("...ii->...i", covariances))
     with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.sqrt(np.einsum("...ii->...i", covariances))
         scaled = covariances / (scale[..., :, None] * scale[..., None, :])
     try:
         if not np.isfinite(scaled).all():

@@ -16,6 +16,7 @@ from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_setting
 from relnav_graph.io.readers import read_raw
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.settings import DataSettings
 from relnav_graph.scenario.toml import override, read_toml
 
 __all__ = ["Pass", "is_dataset", "open_dataset", "open_pass", "recorded_pass", "simulated_pass"]
@@ -164,8 +165,10 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     blocks = {b.name: b for b in layout}
     models = scenario.sensors, scenario.input_columns
     late = [name for name, stamps in scenario.stamps.items() if stamps.lag]
+    rows = scenario.file.data or DataSettings()
     found = read_dataset(
-        *(folder, *models, blocks, time.tolerance, layout.statics), time.origin, late
+        *(folder, *models, blocks, time.tolerance, layout.statics, time.origin, late),
+        *(rows.sort, rows.truth_gap),
     ).shifted(-time.origin)
     if found.truth is None:
         return found

@@ -30,13 +30,17 @@ Bound = Annotated[float | str, AfterValidator(_checked_bound)]
 
 class DataSettings(BaseModel):
     """Where recorded data come from: a reader of `relnav_graph.io.readers`; `simulate`: the
-    sensors that a raw folder lacks, simulated on its truth."""
+    sensors that a raw folder lacks, simulated on its truth. Of a data set: `sort` puts rows in
+    order of time; between rows of truth that are further apart than `truth_gap` (by default 1.5
+    times the median step) nothing is interpolated."""
 
     model_config = STRICT
 
-    reader: str
+    reader: str | None = None
     options: dict[str, Any] = {}
     simulate: list[str] = []
+    sort: bool = False
+    truth_gap: Seconds | None = None
 
 
 class OutlierSettings(BaseModel):

@@ -16,10 +16,14 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.packing import merged, pack, under, unpack
 from relnav_graph.core.problem import Prior, Problem
+from relnav_graph.core.state import UNIT_QUATERNION, Layout
+from relnav_graph.errors import InputError
+from relnav_graph.io.tabular import from_components
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.scenario.first_estimate import FRAMES, decide, hypotheses
+from relnav_graph.streaming.lines import LARGEST, Header
 
-__all__ = ["Beginning"]
+__all__ = ["Beginning", "prior_values"]
 
 
 class Beginning:
@@ -86,3 +90,25 @@ class Beginning:
         self.t = None if np.isnan(t) else t
         self.problem = replace(self.problem, prior=Prior(arrays["x"], arrays["P"]))
         self.epochs = unpack(under(arrays, "epochs."))
+
+
+def prior_values(header: Header, layout: Layout) -> dict[str, Array]:
+    """Values of the blocks whose prior means a header gives, by name.
+
+    (3, 3) for an attitude, else (dim,), SI, in the block's frame. Raises InputError.
+    """
+    out = {}
+    for name, components in header.prior.items():
+        if name not in layout:
+            raise InputError(f"header: prior.{name}: the state has {[b.name for b in layout]}")
+        block, found = layout.block(name), np.array(components)
+        length = 4 if block.manifold == "SO3" else block.dim
+        where = f"header: prior.{name}: found {components}, expected"
+        if found.shape != (length,) or not np.isfinite(found).all():
+            raise InputError(f"{where} {length} numbers")
+        if not np.abs(found).max() <= LARGEST:
+            raise InputError(f"{where} {LARGEST:g} at most")
+        if block.manifold == "SO3" and not abs(np.linalg.norm(found) - 1) <= UNIT_QUATERNION:
+            raise InputError(f"{where} a unit quaternion, within {UNIT_QUATERNION:g}")
+        out[name] = from_components(block, found[None])[0]
+    return out

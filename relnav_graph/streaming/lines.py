@@ -15,7 +15,8 @@ first, w >= 0. In come, in any order,
   means at time `t` for blocks that the scenario has drawn about the truth, `settings` what a
   recording brings for the scenario (camera constants, points): data, which never name a module.
 - A *measurement*: what a sensor saw at its time of validity t, a row of `z` for each id. A loop
-  closure has the time of the earlier epoch, one of the sensor's keyframes, as `t_from`.
+  closure has the time of the earlier epoch, one of the sensor's keyframes, as `t_from`. `R`: for
+  each id the covariance of its residual, a list of rows, in place of what the sensor says.
 - An *input*: the mean of a known input over [t_start, t_end].
 - An *epoch*: an estimate is wanted at a time at which nothing was measured.
 - `t_arrival`: when it became known, on the same clock; without it, at its own time.
@@ -94,9 +95,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.copies import closure_name
 from relnav_graph.core.measurement import SAME_TIME, Measurement
-from relnav_graph.core.state import UNIT_QUATERNION, Layout
 from relnav_graph.errors import InputError, RelnavError
-from relnav_graph.io.tabular import from_components
+from relnav_graph.linear.whitening import inverse_cholesky, measurement_noise
 from relnav_graph.scenario.schema import from_pydantic
 from relnav_graph.streaming.clock import LATEST, check_reasonable
 
@@ -107,7 +107,6 @@ __all__ = [
     "Tick",
     "header_of",
     "parse_line",
-    "prior_values",
 ]
 
 FORMAT, VERSION = "relnav-lines", 1
@@ -186,6 +185,7 @@ class _MeasurementLine(_Line):
     t_from: float | None = None
     id: _List[Annotated[int, Field(ge=-(2**63), lt=2**63)]]
     z: _List[_List[float]]
+    R: _List[_List[_List[float]]] = []
 
 
 class _InputLine(_Line):
@@ -241,10 +241,13 @@ def _measurement(line: _MeasurementLine, sensors: Mapping[str, Sensor]) -> Measu
     ids = np.array(line.id, dtype=np.int64)
     if len(set(line.id)) < len(ids):
         raise InputError(f"found ids {line.id}, expected each one once")
-    m = Measurement(name, line.t, np.array(line.z), ids, line.t_arrival)
+    R = np.array(line.R) if line.R else None
+    m = Measurement(name, line.t, np.array(line.z), ids, line.t_arrival, R=R)
     _check_values("z", m.z)
     try:
         sensors[name].accept(m.z)
+        if m.R is not None:
+            inverse_cholesky(f"sensor {name!r}", measurement_noise(name, sensors[name], m))
         sensors[name].observation_data(m.ids)
     except RelnavError:
         raise
@@ -376,25 +379,3 @@ def header_of(first: bytes, origin: float = 0.0) -> Header:
     header = parse_line(first, {}, {}, origin)[1]
     assert isinstance(header, Header)
     return header
-
-
-def prior_values(header: Header, layout: Layout) -> dict[str, Array]:
-    """Values of the blocks whose prior means a header gives, by name.
-
-    (3, 3) for an attitude, else (dim,), SI, in the block's frame. Raises InputError.
-    """
-    out = {}
-    for name, components in header.prior.items():
-        if name not in layout:
-            raise InputError(f"header: prior.{name}: the state has {[b.name for b in layout]}")
-        block, found = layout.block(name), np.array(components)
-        length = 4 if block.manifold == "SO3" else block.dim
-        where = f"header: prior.{name}: found {components}, expected"
-        if found.shape != (length,) or not np.isfinite(found).all():
-            raise InputError(f"{where} {length} numbers")
-        if not np.abs(found).max() <= LARGEST:
-            raise InputError(f"{where} {LARGEST:g} at most")
-        if block.manifold == "SO3" and not abs(np.linalg.norm(found) - 1) <= UNIT_QUATERNION:
-            raise InputError(f"{where} a unit quaternion, within {UNIT_QUATERNION:g}")
-        out[name] = from_components(block, found[None])[0]
-    return out

@@ -75,7 +75,9 @@ def estimate_object(
 def measurement_object(m: Measurement) -> dict[str, Any]:
     """A measurement as a line in."""
     line = {"sensor": m.sensor, "t": float(m.t), "id": m.ids.tolist(), "z": m.z.tolist()}
-    return line if m.t_arrival is None else {**line, "t_arrival": float(m.t_arrival)}
+    if m.t_arrival is not None:
+        line["t_arrival"] = float(m.t_arrival)
+    return line if m.R is None else {**line, "R": m.R.tolist()}
 
 
 def input_object(sample: InputSample) -> dict[str, Any]:

@@ -105,6 +105,9 @@ def _sensor_noises(
             if m is None:
                 found.append(replace(own, held="nothing was measured"))
                 continue
+            if m.R is not None:
+                found.append(replace(own, held="the data bring covariances of their own"))
+                continue
             doubled = replace(model, **{field: 2 * np.asarray(own.value)})
             before, after = (np.einsum("kii->ki", s.noise(m)) for s in (model, doubled))
             driven = np.flatnonzero((after > before * (1 + 1e-9)).any(axis=0))

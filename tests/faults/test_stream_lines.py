@@ -14,7 +14,8 @@ from streams import assert_close, changed, feed, lines_of, reasons, session_of, 
 
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
-from relnav_graph.streaming.lines import header_of, prior_values
+from relnav_graph.streaming.beginning import prior_values
+from relnav_graph.streaming.lines import header_of
 from relnav_graph.streaming.session import Options, Session
 
 Toy = tuple[Scenario, list[str]]

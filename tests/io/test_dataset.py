@@ -5,16 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
 import pytest
+from tables import BLOCKS, GYRO, INPUTS, SCENARIO, SENSORS, by_hand, make_recording, read, write
 
-from relnav_graph.core.catalogue import INERTIA, RELATIVE_ATTITUDE, RELATIVE_VELOCITY_T
-from relnav_graph.core.measurement import InputSeries, Measurement
-from relnav_graph.core.state import Layout
-from relnav_graph.core.track import Recording, Truth
+from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.dataset import (
@@ -23,61 +20,6 @@ from relnav_graph.io.dataset import (
     read_settings_of,
     write_dataset,
 )
-
-# A table needs only the names of a sensor's columns.
-SENSORS: dict[str, Any] = {
-    "beacons": SimpleNamespace(columns=("los_x", "los_y", "los_z")),
-    "range": SimpleNamespace(columns=("range_m",)),
-}
-BLOCKS = {b.name: b for b in (RELATIVE_ATTITUDE, RELATIVE_VELOCITY_T, INERTIA)}
-SCENARIO = {"title": "a pass", "seed": 3, "sensors": {"range": {"sigma": "0.1 mm"}}}
-
-
-def make_recording(epochs: int = 30) -> Recording:
-    rng = np.random.default_rng(5)
-    t = np.cumsum(rng.uniform(0.1, 0.2, epochs))
-    measurements = []
-    for k in range(epochs):
-        ids = rng.permutation(6)[: k % 4]
-        if len(ids):
-            measurements.append(Measurement("beacons", t[k], rng.normal(size=(len(ids), 3)), ids))
-        if k % 3 == 0:
-            z = 1e-7 * rng.normal(size=(1, 1))
-            measurements.append(Measurement("range", t[k], z, np.array([7]), t[k] + 0.01))
-    gyro = InputSeries("gyro", t[:-1], t[1:], rng.normal(size=(epochs - 1, 3)))
-    layout = Layout(BLOCKS.values())
-    x = np.array(
-        [layout.retract(layout.identity, d) for d in rng.normal(size=(epochs, layout.dim))]
-    )
-    values = {name: layout.value(x, name).copy() for name in BLOCKS}
-    values["relative_velocity"][4:9] = np.nan
-    settings = {"sensors": {"range": {"points": [[0.1, 1 / 3], [2.0, 3.0]]}}}
-    return Recording(t, tuple(measurements), {"gyro": gyro}, Truth(t, values, "made up"), settings)
-
-
-INPUTS = {"gyro": ("wx_rad_s", "wy_rad_s", "wz_rad_s")}
-
-
-def read(folder: Path) -> Recording:
-    return read_dataset(folder, SENSORS, INPUTS, BLOCKS)
-
-
-def write(folder: Path, tables: Literal["csv", "parquet"] = "csv") -> Path:
-    write_dataset(folder, SCENARIO, make_recording(), SENSORS, INPUTS, BLOCKS, tables)
-    return folder
-
-
-def by_hand(folder: Path, **tables: str) -> Path:
-    """A data set without a manifest, as one makes it from one's own data."""
-    folder.mkdir(exist_ok=True)
-    defaults = {
-        "beacons": "t_s,id,los_x,los_y,los_z\n0,1,0,0,1\n0,2,0,1,0\n1,1,0,0,1\n",
-        "range": "t_s,id,range_m\n0,0,5\n1.0,0,6.5\n",
-        "gyro": "t_start_s,t_end_s,wx_rad_s,wy_rad_s,wz_rad_s\n0,0.5,0,0,1\n0.5,1,0,0,2\n",
-    }
-    for name, text in (defaults | tables).items():
-        (folder / f"{name}.csv").write_text(text, "utf-8")
-    return folder
 
 
 @pytest.mark.parametrize("tables", ["csv", "parquet"])
@@ -170,7 +112,6 @@ def test_a_data_set_made_by_hand(tmp_path: Path) -> None:
 
 BEACONS = "t_s,id,los_x,los_y,los_z\n"
 QUATERNION = "t_s,q_w,q_x,q_y,q_z\n"
-GYRO = "t_start_s,t_end_s,wx_rad_s,wy_rad_s,wz_rad_s\n"
 FAULTS = {
     "nan": ("range", "t_s,id,range_m\n0,0,5\n1,0,nan\n", "line 3, column range_m: found nan"),
     "infinite time": ("range", "t_s,id,range_m\ninf,0,5\n", "line 2, column t_s: found inf"),
@@ -179,7 +120,35 @@ FAULTS = {
     "cut off": ("range", "t_s,id,range_m\n0,0,5\n1,0\n", "line 3: found 2 of 3 columns"),
     "empty file": ("range", "", "line 1: found .*, expected names of columns"),
     "other unit": ("range", "t_s,id,range_km\n0,0,5\n", "no column 'range_m'; found t_s, id"),
-    "unknown column": ("range", "t_s,id,range_m,snr\n0,0,5,1\n", "unknown column 'snr'"),
+    "misspelt column": (
+        "range",
+        "t_s,id,range_m,t_arival_s\n0,0,5,1\n",
+        "line 1: unknown column 't_arival_s'; is it 't_arrival_s'",
+    ),
+    "which beacon": ("beacons", "t_s,los_x,los_y,los_z\n0,0,0,1\n", "line 1: no column 'id'"),
+    "two of one": ("range", "t_s,range_m\n0,5\n0,6\n", "line 3, column t_s: .* or a column id"),
+    "sigma": ("range", "t_s,id,range_m,sigma_m\n0,0,5,0\n", "line 2, column sigma_m: found 0.0"),
+    "one sigma twice": (
+        "range",
+        "t_s,id,range_m,sigma_m,sigma_range_m\n0,0,5,1,1\n",
+        "line 1: found both sigma_range_m and sigma_m",
+    ),
+    "half of the sigmas": (
+        "beacons",
+        "t_s,id,los_x,los_y,los_z,sigma_first_rad\n0,1,0,0,1,1\n",
+        "line 1: found no column 'sigma_second_rad', expected sigma_second_rad or sigma_rad",
+    ),
+    "sigma and covariance": (
+        "range",
+        "t_s,id,range_m,sigma_m,cov_1_1\n0,0,5,1,1\n",
+        "line 1: found both 'sigma_m' and 'cov_1_1'",
+    ),
+    "not positive": (
+        "beacons",
+        "t_s,id,los_x,los_y,los_z,cov_1_1,cov_2_1,cov_2_2\n0,1,0,0,1,4,2,2\n1,1,0,0,1,4,3,2\n",
+        "line 3, column cov_1_1: .* positive definite",
+    ),
+    "an underscore": ("range", "t_s,id,range_m\n0,0,1_1\n", "column range_m: found '1_1'"),
     "column twice": ("range", "t_s,id,id\n0,0,5\n", "once each"),
     "fraction": ("range", "t_s,id,range_m\n0,0.5,5\n", "column id: found 0.5, expected a whole"),
     "duplicate": (

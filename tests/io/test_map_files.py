@@ -177,7 +177,7 @@ def test_truth_of_points_is_a_table_by_id(tmp_path: Path) -> None:
         ("id,x_m,y_m,z_m\n3,1,2,3\n3,4,5,6\n", "line 3, column id: found 3.0, expected each"),
         ("id,x_m,y_m,z_m\n-1,1,2,3\n", "line 2, column id: found -1.0, expected a number"),
         ("id,x_m,y_m,z_m\n1.5,1,2,3\n", "line 2, column id: found 1.5"),
-        ("t_s,id,x_m,y_m,z_m\n0,1,1,2,3\n", "line 1: unknown column 't_s'"),
+        ("t_s,id,x_m,y_m,z_m\n0,1,1,2,3\n", "line 1: found a column t_s, expected none"),
         ("id,x_m,y_m\n1,1,2\n", "line 1: no column 'z_m'"),
     ],
 )

@@ -29,7 +29,8 @@ from relnav_graph.io.tabular import component_columns, to_components
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.deviations import estimates
-from relnav_graph.streaming.lines import LineError, header_of, parse_line, prior_values
+from relnav_graph.streaming.beginning import prior_values
+from relnav_graph.streaming.lines import LineError, header_of, parse_line
 from relnav_graph.streaming.session import Options
 
 Capture = pytest.CaptureFixture[str]

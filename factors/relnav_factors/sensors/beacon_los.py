@@ -65,6 +65,7 @@ class BeaconLineOfSight(PointSensor):
     kind: ClassVar[str] = "beacon_los"
     columns: ClassVar[tuple[str, ...]] = ("los_x", "los_y", "los_z")
     rows: ClassVar[int] = 2
+    residual_columns: ClassVar[tuple[str, ...]] = ("first_rad", "second_rad")
     kernel = staticmethod(kernel)
     failures = {
         OPPOSITE: "the beacon is seen opposite to where it should be",

@@ -71,6 +71,7 @@ class GpsPseudorange(SensorModel):
     kind: ClassVar[str] = "gps_pseudorange"
     columns: ClassVar[tuple[str, ...]] = ("pseudorange_m", "x_m", "y_m", "z_m")
     rows: ClassVar[int] = 1
+    residual_columns: ClassVar[tuple[str, ...]] = ("pseudorange_m",)
     kernel = staticmethod(kernel)
     failures = degenerate("the distance from the receiver to the satellite")
 

@@ -64,6 +64,7 @@ class AttitudeSensor(MountedSensor):
 
     columns: ClassVar[tuple[str, ...]] = QUATERNION
     rows: ClassVar[int] = 3
+    residual_columns: ClassVar[tuple[str, ...]] = ("x_rad", "y_rad", "z_rad")
 
     sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]
 

@@ -22,6 +22,7 @@ class PoseSensor(PlacedSensor):
 
     columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m", *QUATERNION)
     rows: ClassVar[int] = 6
+    residual_columns: ClassVar[tuple[str, ...]] = ("x_m", "y_m", "z_m", "x_rad", "y_rad", "z_rad")
 
     position_sigma: Annotated[Array, Quantity("m", (3,), positive=True, fill=True)]
     attitude_sigma: Annotated[Array, Quantity("rad", (3,), positive=True, fill=True)]

@@ -142,7 +142,7 @@ class Online:
     # --- taking in -------------------------------------------------------------------------
 
     def admit(
-        self, sensor: str, t: float, z: Any, ids: Any, t_arrival: float | None = None
+        self, sensor: str, t: float, z: Any, ids: Any, t_arrival: float | None = None, R: Any = None
     ) -> Measurement:
         """A measurement, checked against its sensor: known, finite, of its width, with ids
         and values that it can have. Raises InputError, and counts it as invalid."""
@@ -150,7 +150,7 @@ class Online:
             if sensor not in self.problem.sensors:
                 known = ", ".join(self.problem.sensors)
                 raise InputError(f"unknown sensor {sensor!r}, expected one of: {known}")
-            m = Measurement(sensor, t, z, ids, t_arrival)
+            m = Measurement(sensor, t, z, ids, t_arrival, R=R)
             # Assembled alone: all that the sensor's model has to say against it.
             self._state.setting.seeing((m,)).models.again(Epoch(m.t, (m,)), None)
         except (InputError, TypeError, ValueError) as error:

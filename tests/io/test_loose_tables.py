@@ -1,0 +1,85 @@
+"""Tables as people have them: loose where nothing can be mistaken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tables import BLOCKS, GYRO, INPUTS, SCENARIO, SENSORS, by_hand, make_recording, read
+
+from relnav_graph.errors import InputError
+from relnav_graph.io.dataset import read_dataset, write_dataset
+
+
+def test_tables_as_people_have_them(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A mark of the encoding, lines that end as on Windows, columns in any order, further ones, no
+    ids where there is one thing to see, a sigma for each row."""
+    text = "\ufeffquality,range_m,sigma_m,t_s\r\n0.9,5.25,0.5,0\r\n0.8,5.5,0.25,1\r\n"
+    with caplog.at_level("INFO"):
+        got = read(by_hand(tmp_path, range=text))
+    ranges = [m for m in got.measurements if m.sensor == "range"]
+    assert [(m.t, m.z.tolist(), m.ids.tolist()) for m in ranges] == [
+        (0.0, [[5.25]], [7]),
+        (1.0, [[5.5]], [7]),
+    ]
+    assert [m.R.tolist() for m in ranges if m.R is not None] == [[[[0.25]]], [[[0.0625]]]]
+    assert f"{tmp_path / 'range.csv'}: not read: column quality" in caplog.messages
+
+
+def test_rows_are_sorted_on_request_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = by_hand(
+        tmp_path, range="t_s,range_m\n1,6\n0,5\n", gyro=GYRO + "1,2,0,0,2\n0,1,0,0,1\n"
+    )
+    with pytest.raises(InputError, match=r"line 3, column t_s: found 0\.0"):
+        read(folder)
+    with caplog.at_level("INFO"):
+        got = read_dataset(folder, SENSORS, INPUTS, BLOCKS, sort=True)
+    assert [m.z[0, 0] for m in got.measurements if m.sensor == "range"] == [5.0, 6.0]
+    assert got.inputs["gyro"].values[:, 2].tolist() == [1.0, 2.0]
+    assert f"{folder / 'range.csv'}: sorted by t_s: 2 of 2 rows moved" in caplog.text
+
+
+def test_noise_of_its_own_is_written_and_read_bit_by_bit(tmp_path: Path) -> None:
+    R = np.array([[2.0e-7, 3.3e-8], [3.3e-8, 1.7e-7]]) / 3
+    recording = make_recording()
+    given = tuple(
+        replace(m, R=np.tile(R, (len(m.z), 1, 1)) * (1 + m.t)) if m.sensor == "beacons" else m
+        for m in recording.measurements
+    )
+    folder = tmp_path / "set"
+    write_dataset(folder, SCENARIO, replace(recording, measurements=given), SENSORS, INPUTS, BLOCKS)
+    got = read(folder)
+    assert (
+        (folder / "beacons.csv")
+        .read_text("utf-8")
+        .splitlines()[0]
+        .endswith("cov_1_1,cov_2_1,cov_2_2")
+    )
+    for one, other in zip(got.measurements, given, strict=True):
+        assert (one.R is None) == (other.R is None)
+        if one.R is not None and other.R is not None:
+            np.testing.assert_array_equal(one.R, other.R)
+    k = next(k for k, m in enumerate(given) if m.R is not None)
+    bare = (*given[:k], replace(given[k], R=None), *given[k + 1 :])
+    with pytest.raises(InputError, match=r"covariances of .* measurements"):
+        write_dataset(
+            tmp_path / "two",
+            SCENARIO,
+            replace(recording, measurements=bare),
+            SENSORS,
+            INPUTS,
+            BLOCKS,
+        )
+
+
+def test_truth_is_not_read_across_a_gap_that_is_too_long(tmp_path: Path) -> None:
+    rows = "".join(f"{t},{t * t},0,0\n" for t in (0.0, 0.4, 0.8, 1.2))
+    folder = by_hand(tmp_path, truth_relative_velocity="t_s,x_m_s,y_m_s,z_m_s\n" + rows)
+    for gap, known in ((None, True), (0.39, False)):
+        truth = read_dataset(folder, SENSORS, INPUTS, BLOCKS, gap=gap).truth
+        assert truth is not None
+        at, same = truth.at(np.array([1.0]))
+        assert same.all()
+        assert np.isfinite(truth.values["relative_velocity"][at]).all() == known
