@@ -49,6 +49,13 @@ _PACKAGE = Path(__file__).parents[1]
 _LOWER_FLOORS = ("compiled", "constants.py", "linear", "maths")
 
 
+def _top(folder: Path) -> Path:
+    """The folder of the whole package that a folder is in."""
+    while (folder.parent / "__init__.py").is_file():
+        folder = folder.parent
+    return folder
+
+
 @cache
 def _digest(folder: Path) -> str:
     """Digest of the sources that machine code of a file in `folder` may depend on.
@@ -57,9 +64,7 @@ def _digest(folder: Path) -> str:
     call one another. Elsewhere: the whole package that the folder is in, or only itself for a
     loose file.
     """
-    top, loose = folder, not (folder / "__init__.py").is_file()
-    while (top.parent / "__init__.py").is_file():
-        top = top.parent
+    top, loose = _top(folder), not (folder / "__init__.py").is_file()
     if top == _PACKAGE:
         room = folder.relative_to(top).parts[:1]
         paths = {*(top / room[0]).rglob("*.py")} if room else set()
@@ -69,7 +74,7 @@ def _digest(folder: Path) -> str:
         paths = set(top.glob("*.py") if loose else top.rglob("*.py"))
     sha = hashlib.sha256()
     for path in sorted(paths):
-        sha.update(f"{path.parent.name}/{path.name}\0".encode() + path.read_bytes())
+        sha.update(f"{path.relative_to(top).as_posix()}\0".encode() + path.read_bytes())
     return sha.hexdigest()
 
 
@@ -150,10 +155,27 @@ class _CheckedFiles(IndexDataCacheFile):  # type: ignore[misc]
         self._store(self._data_path(name), self._dump(data))
 
 
+class _ByContent(UserProvidedCacheLocator):  # type: ignore[misc]
+    """Where a function's code is, below a folder that is named after the sources: by the path of
+    its file in the package, so that installations and checkouts of the same sources share it."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        super().__init__(function, file)
+        source = Path(file).resolve()
+        top = _top(source.parent)
+        loose = not (top / "__init__.py").is_file()
+        own = source.relative_to(top if loose else top.parent).with_suffix("")
+        self._cache_path = str(Path(numba.config.CACHE_DIR, ".".join(own.parts)))
+
+    def get_source_stamp(self) -> int:
+        """The same always: the folder's name knows the content."""
+        return 0
+
+
 class _HereOnly(CompileResultCacheImpl):  # type: ignore[misc]
     """numba would else keep code beside the source, where a change in a callee goes unseen."""
 
-    _locator_classes = (UserProvidedCacheLocator,)
+    _locator_classes = (_ByContent,)
 
 
 class _DiskCache(FunctionCache):  # type: ignore[misc]

@@ -104,6 +104,19 @@ def test_row_53_damaged_files_are_compiled_again_and_replaced(package: Path, end
     assert told(package) == (["9.0"], "")
 
 
+def test_the_same_sources_elsewhere_need_no_compilation(package: Path, tmp_path: Path) -> None:
+    told(package)
+    other = tmp_path / "elsewhere"
+    other.mkdir()
+    shutil.copyfile(package / "outsider.py", other / "outsider.py")  # of another date, too
+    where = {"RELNAV_CACHE_DIR": str(package / "cache")}
+    assert told(other, **where)[0] == ["9.0"]
+    (other / "outsider.py").write_text(
+        (package / "outsider.py").read_text("utf-8").replace("0.5", "1.5"), "utf-8"
+    )
+    assert told(other, **where)[0] == ["81.0", "f", "root"]
+
+
 def test_row_53_one_damaged_file_costs_one_function(package: Path) -> None:
     told(package)
     for path in package.glob("cache/**/outsider.root-*.nbc"):
