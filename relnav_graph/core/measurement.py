@@ -29,7 +29,7 @@ class Measurement:
     units that the sensor's `columns` name and the frame that the sensor says; ids: (k,) which
     beacon or point each row belongs to; t_arrival: when it became known, s. wrong: of a simulated
     one, those ids whose row is another point's; for scores alone, estimators do not look at it.
-    R: (k, rows, rows) covariances of the residuals that came with the data, in place of those that
+    covariance: (k, rows, rows) of the residuals, that came with the data, in place of those that
     the sensor says; None: none did.
     Raises InputError on a value that is not finite or on sizes that do not match.
     """
@@ -40,7 +40,7 @@ class Measurement:
     ids: Indices
     t_arrival: float | None = None
     wrong: tuple[int, ...] = ()
-    R: Array | None = None
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         where = f"sensor {self.sensor!r} at t = {self.t} s"
@@ -58,8 +58,8 @@ class Measurement:
         if not np.isfinite(z).all():
             bad = int(ids[np.nonzero(~np.isfinite(z).all(axis=1))[0][0]])
             raise InputError(f"{where}: z of id {bad} is not finite: {z[ids == bad][0]}")
-        if self.R is not None:
-            R = np.ascontiguousarray(self.R, dtype=np.float64)
+        if self.covariance is not None:
+            R = np.ascontiguousarray(self.covariance, dtype=np.float64)
             if R.ndim != 3 or len(R) != len(z) or not np.isfinite(R).all():
                 raise InputError(f"{where}: R is {R.shape}, expected finite ({len(z)}, rows, rows)")
             object.__setattr__(self, "R", R)
@@ -68,8 +68,8 @@ class Measurement:
 
     def only(self, kept: NDArray[Any] | Sequence[int]) -> Measurement:
         """Some of the observations: by a mask (k,) or by their places."""
-        R = None if self.R is None else self.R[kept]
-        return replace(self, z=self.z[kept], ids=self.ids[kept], R=R)
+        R = None if self.covariance is None else self.covariance[kept]
+        return replace(self, z=self.z[kept], ids=self.ids[kept], covariance=R)
 
     def later(self, by: float, arrives: float = 0.0) -> Measurement:
         """The same with `by`, s, added to its time, and `arrives` to when it became known."""

@@ -123,8 +123,8 @@ def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
             out[name] = m.z
             out[f"{k}.ids.{j}.{m.sensor}"] = m.ids.astype(np.float64)
             out[f"{k}.stamps.{j}.{m.sensor}"] = np.array([m.t, arrival])
-            if m.R is not None:
-                out[f"{k}.R.{j}.{m.sensor}"] = m.R
+            if m.covariance is not None:
+                out[f"{k}.covariance.{j}.{m.sensor}"] = m.covariance
         for process, u in epoch.inputs.items():
             out[f"{k}.u.{process}"] = np.asarray(u, dtype=np.float64)
     return out
@@ -146,8 +146,8 @@ def unpack(arrays: Mapping[str, Array]) -> list[Epoch]:
             t, arrival = arrays[f"{parts[0]}.stamps.{rest}"]
             ids = arrays[f"{parts[0]}.ids.{rest}"].astype(np.int64)
             when = None if np.isnan(arrival) else float(arrival)
-            R = arrays.get(f"{parts[0]}.R.{rest}")
-            m = Measurement(parts[3], float(t), value, ids, when, R=R)
+            R = arrays.get(f"{parts[0]}.covariance.{rest}")
+            m = Measurement(parts[3], float(t), value, ids, when, covariance=R)
             measurements.setdefault(int(parts[0]), {})[int(parts[2])] = m
         elif len(parts) > 2 and parts[1] == "u":
             name = key.split(".", 2)[2]

@@ -63,7 +63,7 @@ def measurements_in(
     return [
         Measurement(
             *(name, t[i], z[i:j], ids[i:j], None if arrival is None else arrival[i]),
-            R=None if R is None else R[i:j],
+            covariance=None if R is None else R[i:j],
         )
         for i, j in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
     ]
@@ -93,4 +93,4 @@ def sensor_columns(
     if any(m.t_arrival is not None for m in own):
         arrival = [m.t if m.t_arrival is None else m.t_arrival for m in own]
         columns["t_arrival_s"] = np.repeat(arrival, counts)
-    return columns | covariance_columns([m.R for m in own], counts)
+    return columns | covariance_columns([m.covariance for m in own], counts)

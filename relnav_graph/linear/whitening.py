@@ -56,11 +56,12 @@ def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
     sensor gives another shape, InputError when the data do, or when R is not symmetric.
     """
     expected = (len(m.z), sensor.rows, sensor.rows)
-    if m.R is not None and m.R.shape != expected:
+    if m.covariance is not None and m.covariance.shape != expected:
         raise InputError(
-            f"sensor {name!r} at t = {m.t} s: R of the residual is {m.R.shape}, expected {expected}"
+            f"sensor {name!r} at t = {m.t} s: the covariance of the residual is"
+            f" {m.covariance.shape}, expected {expected}"
         )
-    noise = np.asarray(sensor.noise(m)) if m.R is None else m.R
+    noise = np.asarray(sensor.noise(m)) if m.covariance is None else m.covariance
     if noise.shape != expected:
         raise ModelError(
             f"sensor {name!r} at t = {m.t} s: noise gives {noise.shape}, expected {expected}"

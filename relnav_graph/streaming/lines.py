@@ -15,8 +15,8 @@ first, w >= 0. In come, in any order,
   means at time `t` for blocks that the scenario has drawn about the truth, `settings` what a
   recording brings for the scenario (camera constants, points): data, which never name a module.
 - A *measurement*: what a sensor saw at its time of validity t, a row of `z` for each id. A loop
-  closure has the time of the earlier epoch, one of the sensor's keyframes, as `t_from`. `R`: for
-  each id the covariance of its residual, a list of rows, in place of what the sensor says.
+  closure has the time of the earlier epoch, one of the sensor's keyframes, as `t_from`.
+  `covariance`: for each id that of its residual, a list of rows, in place of what the sensor says.
 - An *input*: the mean of a known input over [t_start, t_end].
 - An *epoch*: an estimate is wanted at a time at which nothing was measured.
 - `t_arrival`: when it became known, on the same clock; without it, at its own time.
@@ -185,7 +185,7 @@ class _MeasurementLine(_Line):
     t_from: float | None = None
     id: _List[Annotated[int, Field(ge=-(2**63), lt=2**63)]]
     z: _List[_List[float]]
-    R: _List[_List[_List[float]]] = []
+    covariance: _List[_List[_List[float]]] = []
 
 
 class _InputLine(_Line):
@@ -241,12 +241,12 @@ def _measurement(line: _MeasurementLine, sensors: Mapping[str, Sensor]) -> Measu
     ids = np.array(line.id, dtype=np.int64)
     if len(set(line.id)) < len(ids):
         raise InputError(f"found ids {line.id}, expected each one once")
-    R = np.array(line.R) if line.R else None
-    m = Measurement(name, line.t, np.array(line.z), ids, line.t_arrival, R=R)
+    R = np.array(line.covariance) if line.covariance else None
+    m = Measurement(name, line.t, np.array(line.z), ids, line.t_arrival, covariance=R)
     _check_values("z", m.z)
     try:
         sensors[name].accept(m.z)
-        if m.R is not None:
+        if m.covariance is not None:
             inverse_cholesky(f"sensor {name!r}", measurement_noise(name, sensors[name], m))
         sensors[name].observation_data(m.ids)
     except RelnavError:

@@ -85,5 +85,5 @@ def waiting_in(found: Sequence[Any]) -> list[WaitingEpoch]:
 
 def _measurement(line: Mapping[str, Any]) -> Measurement:
     z, ids = np.array(line["z"]), np.array(line["id"], dtype=np.int64)
-    R = None if line.get("R") is None else np.array(line["R"])
-    return Measurement(line["sensor"], line["t"], z, ids, line.get("t_arrival"), R=R)
+    R = None if line.get("covariance") is None else np.array(line["covariance"])
+    return Measurement(line["sensor"], line["t"], z, ids, line.get("t_arrival"), covariance=R)

@@ -77,7 +77,7 @@ def measurement_object(m: Measurement) -> dict[str, Any]:
     line = {"sensor": m.sensor, "t": float(m.t), "id": m.ids.tolist(), "z": m.z.tolist()}
     if m.t_arrival is not None:
         line["t_arrival"] = float(m.t_arrival)
-    return line if m.R is None else {**line, "R": m.R.tolist()}
+    return line if m.covariance is None else {**line, "covariance": m.covariance.tolist()}
 
 
 def input_object(sample: InputSample) -> dict[str, Any]:

@@ -105,7 +105,7 @@ def _sensor_noises(
             if m is None:
                 found.append(replace(own, held="nothing was measured"))
                 continue
-            if m.R is not None:
+            if m.covariance is not None:
                 found.append(replace(own, held="the data bring covariances of their own"))
                 continue
             doubled = replace(model, **{field: 2 * np.asarray(own.value)})

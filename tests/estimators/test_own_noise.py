@@ -25,7 +25,7 @@ WORSE = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, -0.02], [0.0, -0.02, 0.05]])
 
 
 def with_noise(R: Callable[[Measurement], np.ndarray | None]) -> list[Measurement]:
-    return [replace(m, R=R(m)) for m in toy_measurements()]
+    return [replace(m, covariance=R(m)) for m in toy_measurements()]
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf", "batch", "incremental", "isam2", "fixed_lag"])
@@ -62,37 +62,37 @@ def test_online_state_and_lines_keep_it() -> None:
     again = unpack(pack(problem.epochs))
     for one, other in zip(problem.epochs, again, strict=True):
         for m, n in zip(one.measurements, other.measurements, strict=True):
-            assert (m.R is None) == (n.R is None)
-            np.testing.assert_array_equal(m.R, n.R)
+            assert (m.covariance is None) == (n.covariance is None)
+            np.testing.assert_array_equal(m.covariance, n.covariance)
     line = json.dumps(measurement_object(problem.epochs[0].measurements[0])).encode()
     _, found = parse_line(line, SENSORS, {})
     assert isinstance(found, Measurement)
-    np.testing.assert_array_equal(found.R, WORSE[None])
+    np.testing.assert_array_equal(found.covariance, WORSE[None])
 
 
 def test_of_several_observations_each_has_its_own() -> None:
     m = next(m for m in toy_measurements() if m.sensor == "ranger")
     R = np.arange(1.0, 4.0)[:, None, None]
-    kept = replace(m, R=R).only(np.array([True, False, True]))
-    assert kept.R is not None
-    assert kept.R[:, 0, 0].tolist() == [1.0, 3.0]
+    kept = replace(m, covariance=R).only(np.array([True, False, True]))
+    assert kept.covariance is not None
+    assert kept.covariance[:, 0, 0].tolist() == [1.0, 3.0]
     assert kept.ids.tolist() == m.ids[[0, 2]].tolist()
 
 
 @pytest.mark.parametrize(
     ("R", "words"),
     [
-        (np.eye(2)[None], r"R of the residual is \(1, 2, 2\), expected \(1, 3, 3\)"),
+        (np.eye(2)[None], r"the covariance of the residual is \(1, 2, 2\), expected \(1, 3, 3\)"),
         (np.array([[[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]]), "not symmetric"),
         (-np.eye(3)[None], "not positive definite"),
     ],
 )
 def test_row_42_a_covariance_that_is_none_is_refused(R: np.ndarray, words: str) -> None:
-    first = replace(toy_measurements()[0], R=R)
+    first = replace(toy_measurements()[0], covariance=R)
     with pytest.raises(InputError, match=words):
         run_estimator("ekf", toy_problem([first, *toy_measurements()[1:]]))
     with pytest.raises(InputError, match=words):
-        online("ekf", toy_problem([])).admit("fix", 0.0, first.z, first.ids, R=R)
+        online("ekf", toy_problem([])).admit("fix", 0.0, first.z, first.ids, covariance=R)
     line = json.dumps(measurement_object(first)).encode()
     with pytest.raises(LineError, match=words):
         parse_line(line, SENSORS, {})
@@ -102,5 +102,5 @@ def test_what_is_not_finite_or_of_another_count_is_refused() -> None:
     m = toy_measurements()[0]
     for R in (np.full((1, 3, 3), np.nan), np.eye(3), np.tile(np.eye(3), (2, 1, 1))):
         with pytest.raises(InputError, match=r"expected finite \(1, rows, rows\)"):
-            replace(m, R=R)
+            replace(m, covariance=R)
     assert len(RANGER.observables()) == 3

@@ -24,7 +24,10 @@ def test_tables_as_people_have_them(tmp_path: Path, caplog: pytest.LogCaptureFix
         (0.0, [[5.25]], [7]),
         (1.0, [[5.5]], [7]),
     ]
-    assert [m.R.tolist() for m in ranges if m.R is not None] == [[[[0.25]]], [[[0.0625]]]]
+    assert [m.covariance.tolist() for m in ranges if m.covariance is not None] == [
+        [[[0.25]]],
+        [[[0.0625]]],
+    ]
     assert f"{tmp_path / 'range.csv'}: not read: column quality" in caplog.messages
 
 
@@ -45,7 +48,9 @@ def test_noise_of_its_own_is_written_and_read_bit_by_bit(tmp_path: Path) -> None
     R = np.array([[2.0e-7, 3.3e-8], [3.3e-8, 1.7e-7]]) / 3
     recording = make_recording()
     given = tuple(
-        replace(m, R=np.tile(R, (len(m.z), 1, 1)) * (1 + m.t)) if m.sensor == "beacons" else m
+        replace(m, covariance=np.tile(R, (len(m.z), 1, 1)) * (1 + m.t))
+        if m.sensor == "beacons"
+        else m
         for m in recording.measurements
     )
     folder = tmp_path / "set"
@@ -58,11 +63,11 @@ def test_noise_of_its_own_is_written_and_read_bit_by_bit(tmp_path: Path) -> None
         .endswith("cov_1_1,cov_2_1,cov_2_2")
     )
     for one, other in zip(got.measurements, given, strict=True):
-        assert (one.R is None) == (other.R is None)
-        if one.R is not None and other.R is not None:
-            np.testing.assert_array_equal(one.R, other.R)
-    k = next(k for k, m in enumerate(given) if m.R is not None)
-    bare = (*given[:k], replace(given[k], R=None), *given[k + 1 :])
+        assert (one.covariance is None) == (other.covariance is None)
+        if one.covariance is not None and other.covariance is not None:
+            np.testing.assert_array_equal(one.covariance, other.covariance)
+    k = next(k for k, m in enumerate(given) if m.covariance is not None)
+    bare = (*given[:k], replace(given[k], covariance=None), *given[k + 1 :])
     with pytest.raises(InputError, match=r"covariances of .* measurements"):
         write_dataset(
             tmp_path / "two",

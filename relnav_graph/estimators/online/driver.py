@@ -150,7 +150,7 @@ class Online:
             if sensor not in self.problem.sensors:
                 known = ", ".join(self.problem.sensors)
                 raise InputError(f"unknown sensor {sensor!r}, expected one of: {known}")
-            m = Measurement(sensor, t, z, ids, t_arrival, R=R)
+            m = Measurement(sensor, t, z, ids, t_arrival, covariance=R)
             # Assembled alone: all that the sensor's model has to say against it.
             self._state.setting.seeing((m,)).models.again(Epoch(m.t, (m,)), None)
         except (InputError, TypeError, ValueError) as error:
