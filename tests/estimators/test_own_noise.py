@@ -92,7 +92,7 @@ def test_row_42_a_covariance_that_is_none_is_refused(R: np.ndarray, words: str) 
     with pytest.raises(InputError, match=words):
         run_estimator("ekf", toy_problem([first, *toy_measurements()[1:]]))
     with pytest.raises(InputError, match=words):
-        online("ekf", toy_problem([])).admit("fix", 0.0, first.z, first.ids, covariance=R)
+        online("ekf", toy_problem([])).admit("fix", 0.0, first.z, first.ids, R=R)
     line = json.dumps(measurement_object(first)).encode()
     with pytest.raises(LineError, match=words):
         parse_line(line, SENSORS, {})
