@@ -210,12 +210,15 @@ class Quantity:
         return core_schema.no_info_plain_validator_function(self.parse)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        items: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+        one: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+        items = one
         for _ in self.shape:
             items = {"type": "array", "items": items}
+        choices = [items, *([one] if self.fill and self.shape else [])]
         if self.words:
-            items = {"anyOf": [items, {"enum": list(self.words)}]}
-        return {**items, "description": f"SI unit {self.unit}; strings may name another"}
+            choices.append({"enum": list(self.words)})
+        form = items if len(choices) == 1 else {"anyOf": choices}
+        return {**form, "description": f"SI unit {self.unit}; strings may name another"}
 
 
 @cache
