@@ -20,7 +20,8 @@ SCENARIOS = sorted(EXPERIMENTS.glob("*.toml"))
 def valid() -> Callable[[dict[str, Any]], bool]:
     schema = json.loads(json.dumps(json_schema()))
     Draft202012Validator.check_schema(schema)
-    return Draft202012Validator(schema).is_valid
+    judge: Callable[[dict[str, Any]], bool] = Draft202012Validator(schema).is_valid
+    return judge
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
