@@ -26,6 +26,8 @@ class Measurement:
     units that the sensor's `columns` name and the frame that the sensor says; ids: (k,) which
     beacon or point each row belongs to; t_arrival: when it became known, s. wrong: of a simulated
     one, those ids whose row is another point's; for scores alone, estimators do not look at it.
+    covariance: (k, rows, rows) of its errors, of the residual's rows and in their units, in place
+    of what the sensor says of all.
     Raises InputError on a value that is not finite or on sizes that do not match.
     """
 
@@ -35,6 +37,7 @@ class Measurement:
     ids: Indices
     t_arrival: float | None = None
     wrong: tuple[int, ...] = ()
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         where = f"sensor {self.sensor!r} at t = {self.t} s"
@@ -52,6 +55,15 @@ class Measurement:
         if not np.isfinite(z).all():
             bad = int(ids[np.nonzero(~np.isfinite(z).all(axis=1))[0][0]])
             raise InputError(f"{where}: z of id {bad} is not finite: {z[ids == bad][0]}")
+        if self.covariance is not None:
+            P = np.ascontiguousarray(self.covariance, dtype=np.float64)
+            if (
+                P.ndim != 3
+                or P.shape != (len(z), P.shape[1], P.shape[1])
+                or not np.isfinite(P).all()
+            ):
+                raise InputError(f"{where}: found a covariance {P.shape}, expected (k, rows, rows)")
+            object.__setattr__(self, "covariance", P)
         object.__setattr__(self, "z", np.ascontiguousarray(z, dtype=np.float64))
         object.__setattr__(self, "ids", ids)
 

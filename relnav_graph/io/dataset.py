@@ -4,8 +4,8 @@
 
     scenario.toml         the scenario
     epochs.csv            t_s; optional, else the times of the measurements
-    <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s; of one that closes
-                          loops, t_from_s, the time of the earlier epoch
+    <sensor>.csv          t_s, id, the columns of the sensor; maybe t_arrival_s, `io.covariances`;
+                          of one that closes loops, t_from_s, the time of the earlier epoch
     <input>.csv           t_start_s, t_end_s, the columns that its process declares
     truth_<block>.csv     t_s, the columns of `component_columns`; optional; maybe `sigma_columns`
     truth_<family>.csv    id, the same columns: of numbered blocks, such as points
@@ -25,7 +25,6 @@ a data set may name no module ("module:Class"), which is code, unless it is trus
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
@@ -36,7 +35,6 @@ import tomli_w
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
-from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.manoeuvres import THRUST_COLUMNS
@@ -45,7 +43,7 @@ from relnav_graph.core.numbered import families, number_in
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.files import check_name, file_in, read_file
+from relnav_graph.files import check_name
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.closures import (
     by_keyframe,
@@ -54,6 +52,8 @@ from relnav_graph.io.closures import (
     keyframes_in,
     of_closures,
 )
+from relnav_graph.io.covariances import covariance_columns, covariances_in, of_measurements
+from relnav_graph.io.dataset_file import is_ours, read_manifest, write_manifest
 from relnav_graph.io.manoeuvres import read_manoeuvres
 from relnav_graph.io.maps import family_table
 from relnav_graph.io.tabular import (
@@ -79,7 +79,6 @@ __all__ = [
 
 Columns = Mapping[str, NDArray[Any]]
 
-_FORMAT = 1
 #: Characters of a table's name: that of a block or sensor, and what it is of.
 _LONGEST = 200
 
@@ -94,7 +93,8 @@ def _need_table(folder: Path, stem: str) -> Table:
 
 def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
     """One measurement per time of a sensor's table."""
-    table.require(("t_s", "id", *sensor.columns), optional=("t_arrival_s",))
+    optional = ("t_arrival_s", *covariance_columns(sensor.rows))
+    table.require(("t_s", "id", *sensor.columns), optional)
     table.increasing("t_s", strictly=False)
     t, raw_ids, z = table["t_s"], table["id"], table.stack(sensor.columns)
     whole = (raw_ids == np.rint(raw_ids)) & (np.abs(raw_ids) < 2.0**53)
@@ -110,10 +110,12 @@ def _measurements(table: Table, name: str, sensor: Sensor) -> list[Measurement]:
         same = np.concatenate(([True], arrival[1:] == arrival[:-1]))
         table.refuse(~(first | same), "t_arrival_s", "the same for all rows of one time")
     edges = np.append(np.nonzero(first)[0], len(t))
-    return [
-        Measurement(name, t[i], z[i:j], ids[i:j], None if arrival is None else arrival[i])
-        for i, j in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-    ]
+    P = covariances_in(table, sensor.rows)
+    found = []
+    for i, j in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        known, R = None if arrival is None else arrival[i], None if P is None else P[i:j]
+        found.append(Measurement(name, t[i], z[i:j], ids[i:j], known, covariance=R))
+    return found
 
 
 def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
@@ -136,38 +138,6 @@ def _input(folder: Path, name: str, channels: tuple[str, ...]) -> InputSeries:
     return InputSeries(name, t_start, t_end, table.stack(channels), None, *where)
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def _manifest(folder: Path) -> dict[str, Any]:
-    """``dataset.toml``, after a check of all that it lists; {} when there is none."""
-    path = folder / "dataset.toml"
-    if not path.exists():
-        return {}
-    manifest = read_toml(path, of_data=True)
-    if manifest.get("format") != _FORMAT:
-        raise InputError(f"{path}: found format {manifest.get('format')!r}, expected {_FORMAT}")
-    settings, digests = manifest.get("settings", {}), manifest.get("sha256")
-    if not isinstance(digests, dict) or not isinstance(settings, dict):
-        raise InputError(f"{path}: expected tables [settings] and [sha256]")
-    for key, found in {"truth_source": manifest.get("truth_source", ""), **digests}.items():
-        if not isinstance(found, str):
-            raise InputError(f"{path}: {key}: found {found!r}, expected text")
-    if digests.pop("settings", None) != _digest(tomli_w.dumps(settings).encode()):
-        raise InputError(f"{path}: [settings] changed since it was written")
-    for name, digest in digests.items():
-        file = file_in(folder, name)
-        if not file.exists():
-            raise InputError(f"{file}: missing, though dataset.toml lists it")
-        if _digest(read_file(file)) != digest:
-            raise InputError(
-                f"{file}: truncated or changed since it was written; if on purpose,"
-                " take its line out of dataset.toml"
-            )
-    return manifest
-
-
 def read_scenario_of(folder: str | os.PathLike[str], trust: bool = False) -> dict[str, Any]:
     """The scenario of a data set, as tables. trust: it may name modules, which are code.
 
@@ -186,7 +156,7 @@ def read_settings_of(
     """Settings that a data set brings, {} when none: those of its manifest and, for the tables of a
     scenario, the keyframes of its loop closures. Raises InputError on a damaged one."""
     folder = Path(folder)
-    settings: dict[str, Any] = _manifest(folder).get("settings", {})
+    settings: dict[str, Any] = read_manifest(folder).get("settings", {})
     keyframes = keyframes_in(folder, scenario or {})
     return joined(settings, {"sensors": keyframes}) if keyframes else settings
 
@@ -241,7 +211,7 @@ def read_dataset(
         raise InputError(f"{folder}: no such folder")
     for name in (*sensors, *inputs):
         check_name("a table", name, _LONGEST)
-    manifest = _manifest(folder)
+    manifest = read_manifest(folder)
     tables = {name: _need_table(folder, name) for name in grouped(sensors)}
     measurements = list[Measurement]()
     for name, own in grouped(sensors).items():
@@ -277,6 +247,7 @@ def _sensor_columns(
         **earlier_times(own, sensors, origin),
         "id": np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for m in own)]),
         **dict(zip(sensor.columns, z.T, strict=True)),
+        **of_measurements(name, own, sensor.rows),
     }
     if any(m.t_arrival is not None for m in own):
         arrival = [m.t if m.t_arrival is None else m.t_arrival for m in own]
@@ -311,8 +282,8 @@ def _tables(
     tables: list[tuple[str, Columns]] = [("epochs", {"t_s": recording.times})]
     for name in (*sensors, *recording.inputs):
         check_name("a table", name, _LONGEST)
-    for name, own in grouped(sensors).items():
-        tables.append((name, _sensor_columns(name, own, recording.measurements, origin)))
+    measured = recording.measurements
+    tables += [(n, _sensor_columns(n, s, measured, origin)) for n, s in grouped(sensors).items()]
     for name, series in recording.inputs.items():
         if name not in inputs:
             raise InputError(f"unknown input {name!r}; known are {', '.join(inputs)}")
@@ -340,22 +311,9 @@ def _tables(
             rows = family_table(truth.t[:1], tuple(known.values()), values, P)
             tables.append((f"truth_{family}", rows))
     names = [name for name, _ in tables]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{name!r} cannot name a table: taken twice")
+    for name in (n for n in names if names.count(n) > 1):
+        raise InputError(f"{name!r} cannot name a table: taken twice")
     return dict(tables)
-
-
-def _is_dataset(folder: Path) -> bool:
-    """Whether all that a folder holds was written by :func:`write_dataset`."""
-    path = folder / "dataset.toml"
-    if not path.is_file():
-        return False
-    manifest = read_toml(path, of_data=True)
-    listed = manifest.get("sha256")
-    if manifest.get("format") != _FORMAT or not isinstance(listed, dict):
-        return False
-    return all(p.name in {"dataset.toml", "scenario.toml", *listed} for p in folder.iterdir())
 
 
 def write_dataset(
@@ -376,23 +334,13 @@ def write_dataset(
     nothing can be written, or when the recording has a sensor or an input that is not known.
     """
     folder = Path(folder)
-    if folder.is_dir() and any(folder.iterdir()) and not _is_dataset(folder):
+    if folder.is_dir() and any(folder.iterdir()) and not is_ours(folder):
         raise InputError(f"{folder}: holds files that are not of a data set; name another folder")
     contents = _tables(recording, sensors, inputs, blocks, origin)
-    settings = dict(recording.settings)
+    source = recording.truth.source if recording.truth else ""
     with atomic(folder) as staged:
         staged.mkdir()
-        digests = {"settings": _digest(tomli_w.dumps(settings).encode())}
         for name, columns in contents.items():
-            path = staged / f"{name}.{tables}"
-            write_table(path, columns)
-            digests[path.name] = _digest(path.read_bytes())
-        manifest = {
-            "format": _FORMAT,
-            "writer": f"relnav-graph {VERSION}",
-            "truth_source": recording.truth.source if recording.truth else "",
-            "settings": settings,
-            "sha256": digests,
-        }
+            write_table(staged / f"{name}.{tables}", columns)
+        write_manifest(staged, dict(recording.settings), source)
         (staged / "scenario.toml").write_text(tomli_w.dumps(scenario), "utf-8")
-        (staged / "dataset.toml").write_text(tomli_w.dumps(manifest), "utf-8")

@@ -54,7 +54,7 @@ def measurement_noise(name: str, sensor: Sensor, m: Measurement) -> Array:
 
     Raises ModelError when the sensor gives another shape, InputError when R is not symmetric.
     """
-    noise = np.asarray(sensor.noise(m))
+    noise = np.asarray(sensor.noise(m) if m.covariance is None else m.covariance)
     expected = (len(m.z), sensor.rows, sensor.rows)
     if noise.shape != expected:
         raise ModelError(

@@ -22,6 +22,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.whitening import measurement_noise
 from relnav_graph.units import column_unit, unit_scale
 
 __all__ = ["check_step", "wrong_input", "wrong_unit"]
@@ -58,7 +59,7 @@ def _misfit(
         H = np.hstack([H, *each])
     _, columns = layout.gather([*sensor.reads, *blocks])
     S = H @ P[np.ix_(columns, columns)] @ H.T
-    for k, R in enumerate(sensor.noise(m)):
+    for k, R in enumerate(measurement_noise(m.sensor, sensor, m)):
         part = slice(k * sensor.rows, (k + 1) * sensor.rows)
         S[part, part] += R
     return float(r @ np.linalg.solve(S, r)), len(r)

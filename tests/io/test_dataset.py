@@ -24,10 +24,10 @@ from relnav_graph.io.dataset import (
     write_dataset,
 )
 
-# A table needs only the names of a sensor's columns.
+# A table needs only the names of a sensor's columns, and how many rows its residual has.
 SENSORS: dict[str, Any] = {
-    "beacons": SimpleNamespace(columns=("los_x", "los_y", "los_z")),
-    "range": SimpleNamespace(columns=("range_m",)),
+    "beacons": SimpleNamespace(columns=("los_x", "los_y", "los_z"), rows=2),
+    "range": SimpleNamespace(columns=("range_m",), rows=1),
 }
 BLOCKS = {b.name: b for b in (RELATIVE_ATTITUDE, RELATIVE_VELOCITY_T, INERTIA)}
 SCENARIO = {"title": "a pass", "seed": 3, "sensors": {"range": {"sigma": "0.1 mm"}}}
