@@ -14,12 +14,21 @@ import pkgutil
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from relnav_graph.errors import ModelError
 
-__all__ = ["classes", "find_class", "find_function", "modules", "parameters", "provides"]
+__all__ = [
+    "classes",
+    "find_class",
+    "find_function",
+    "module_by_suffix",
+    "modules",
+    "parameters",
+    "provides",
+]
 
 
 _LOG = logging.getLogger(__name__)
@@ -149,6 +158,16 @@ def modules(group: str, own: str) -> Mapping[str, str]:
             if found.setdefault(name, module) != module:
                 raise ModelError(f"{group}: {name!r} is there twice: {found[name]} and {module}")
     return dict(sorted(found.items()))
+
+
+def module_by_suffix(found: Mapping[str, str], path: Path) -> str | None:
+    """The name of the module, of those found, whose SUFFIXES has the end of the name of a file;
+    None: there is none."""
+    for name, module in found.items():
+        ends = getattr(importlib.import_module(module), "SUFFIXES", ())
+        if path.name.lower().endswith(tuple(ends)):
+            return name
+    return None
 
 
 def find_function(module: str, name: str) -> Callable[..., Any]:

@@ -193,13 +193,14 @@ def read_dataset(
     statics: Container[str] = (),
     origin: float = 0.0,
     late: Container[str] = (),
+    partial: bool = False,
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
     inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
     which of the blocks are static, see `relnav_graph.io.truth.read_truth`; origin: what stamps say
     at t = 0 of the clock of the sensors' keyframes, s; late: sensors whose stamps are not those of
-    epochs, since they lag.
+    epochs, since they lag; partial: what has no table is elsewhere, and so are the epochs.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -212,6 +213,12 @@ def read_dataset(
     for name in (*sensors, *inputs):
         check_name("a table", name, _LONGEST)
     manifest = read_manifest(folder)
+    if partial:
+        here = {p.stem for p in folder.iterdir()}
+        sensors = {
+            n: s for own in grouped(sensors).items() if own[0] in here for n, s in own[1].items()
+        }
+        inputs = {n: columns for n, columns in inputs.items() if n in here}
     tables = {name: _need_table(folder, name) for name in grouped(sensors)}
     measurements = list[Measurement]()
     for name, own in grouped(sensors).items():
@@ -220,7 +227,8 @@ def read_dataset(
         measurements += [m for n, part in parts.items() for m in _measurements(part, n, own[n])]
     measurements.sort(key=lambda m: m.t)
     on_time = [table for name, table in tables.items() if name not in late]
-    times = _epochs(folder, on_time, measurements, merge)
+    alone = partial and not measurements and read_table(folder, "epochs") is None
+    times = np.zeros(0) if alone else _epochs(folder, on_time, measurements, merge)
     series = {name: _input(folder, name, columns) for name, columns in inputs.items()}
     source = manifest.get("truth_source", "")
     truth = read_truth(folder, blocks, times, source, statics, families(sensors))
@@ -318,7 +326,7 @@ def _tables(
 
 def write_dataset(
     folder: str | os.PathLike[str],
-    scenario: Mapping[str, Any],
+    scenario: Mapping[str, Any] | None,
     recording: Recording,
     sensors: Mapping[str, Sensor],
     inputs: Mapping[str, tuple[str, ...]],
@@ -326,7 +334,8 @@ def write_dataset(
     tables: Format = "csv",
     origin: float = 0.0,
 ) -> None:
-    """Write a recording and its scenario as a data set; reading gives the same numbers.
+    """Write a recording and its scenario as a data set; reading gives the same numbers. Without a
+    scenario it is a folder for the reader "tables".
 
     blocks: definitions of the blocks of the truth; a true quantity without one is left out,
     since its units are not known. tables: format of the tables; origin: see `read_dataset`. A data
@@ -343,4 +352,5 @@ def write_dataset(
         for name, columns in contents.items():
             write_table(staged / f"{name}.{tables}", columns)
         write_manifest(staged, dict(recording.settings), source)
-        (staged / "scenario.toml").write_text(tomli_w.dumps(scenario), "utf-8")
+        if scenario is not None:
+            (staged / "scenario.toml").write_text(tomli_w.dumps(scenario), "utf-8")

@@ -3,9 +3,9 @@ module of a package that the entry-point group ``relnav_graph.readers`` names.
 
 A reader is a function ``read(path, **options) -> Recording`` in a module of its own. `path` is a
 folder, in which it finds its files by pattern; where the module says ``FILES = True``, it may be a
-file instead. A parameter `known` is no option: it gets what the scenario knows, as
-`relnav_graph.io.known.Known`. Where the data know when t = 0 of the recording is, its `settings`
-say so, as ``{"time": {"epoch": str(instant)}}``.
+file instead, and ``SUFFIXES = (".oem",)`` says how names of such files end. A parameter `known` is
+no option: it gets what the scenario knows, as `relnav_graph.io.known.Known`. Where the data know
+when t = 0 of the recording is, its `settings` say so, as ``{"time": {"epoch": str(instant)}}``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Any
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.known import Known
-from relnav_graph.registry import find_function, modules, parameters
+from relnav_graph.registry import find_function, module_by_suffix, modules, parameters
 
-__all__ = ["GROUP", "asks", "options_wrong", "read_raw", "readers", "takes_files"]
+__all__ = ["GROUP", "asks", "by_suffix", "options_wrong", "read_raw", "readers", "takes_files"]
 
 GROUP = "relnav_graph.readers"
 #: The parameter of a reader that is not an option.
@@ -43,6 +43,11 @@ def _module(name: str) -> str:
 def takes_files(name: str) -> bool:
     """Whether a reader takes a file, not only a folder. Raises InputError on an unknown one."""
     return bool(getattr(importlib.import_module(_module(name)), "FILES", False))
+
+
+def by_suffix(path: Path) -> str | None:
+    """The reader of files whose name ends like that; None: there is none."""
+    return module_by_suffix(readers(), path)
 
 
 def asks(name: str) -> bool:

@@ -24,9 +24,10 @@ from relnav_graph.maths import dense, so3
 from relnav_graph.maths.frames import rtn_axes
 from relnav_graph.maths.instants import moved
 
-__all__ = ["FILES", "read"]
+__all__ = ["FILES", "SUFFIXES", "read"]
 
 FILES = True
+SUFFIXES = (".aem",)
 _ROLES = {
     "truth": "true attitudes, of the block `block`",
     "measured": "attitudes that the sensor `sensor` measured",

@@ -26,9 +26,10 @@ from relnav_graph.io.roles import check_role, orbit_recording, sensor_columns, s
 from relnav_graph.maths.frames import rtn_axes, to_rtn
 from relnav_graph.maths.instants import moved
 
-__all__ = ["FILES", "read"]
+__all__ = ["FILES", "SUFFIXES", "read"]
 
 FILES = True
+SUFFIXES = (".oem",)
 _ROLES = {
     "truth": "true states of the chaser",
     "target": "the orbit of the target, for what is relative to it",

@@ -4,7 +4,8 @@ of a package that the entry-point group ``relnav_graph.writers`` names.
 A writer is a function ``write(track, path, **options) -> None`` in a module of its own. What it
 writes appears complete or not at all (`relnav_graph.io.atomic`); it replaces what it would itself
 have written, and refuses to write over anything else. It raises InputError on what the track lacks.
-The module may say ``SUFFIXES = (".oem",)``: how names of such files end.
+The module may say ``SUFFIXES = (".oem",)``: how names of such files end; and ``FOLDER = True``: it
+writes into a folder, beside what is there of other tracks.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from typing import Any
 
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
-from relnav_graph.registry import find_function, modules, parameters
+from relnav_graph.registry import find_function, module_by_suffix, modules, parameters
 
-__all__ = ["GROUP", "by_suffix", "write_track", "writers"]
+__all__ = ["GROUP", "by_suffix", "fills_folder", "options_of", "write_track", "writers"]
 
 GROUP = "relnav_graph.writers"
 
@@ -31,12 +32,25 @@ def writers() -> Mapping[str, str]:
 
 def by_suffix(path: Path) -> str | None:
     """The writer of files whose name ends like that; None: there is none."""
-    name = path.name.lower()
-    for writer, module in writers().items():
-        ends = getattr(importlib.import_module(module), "SUFFIXES", ())
-        if any(name.endswith(end) for end in ends):
-            return writer
-    return None
+    return module_by_suffix(writers(), path)
+
+
+def options_of(name: str) -> list[str]:
+    """Names of the options of a writer. Raises InputError on an unknown one."""
+    return parameters(find_function(_module(name), "write"), 2)
+
+
+def fills_folder(name: str) -> bool:
+    """Whether a writer writes into a folder, beside what is there of other tracks. Raises
+    InputError on an unknown one."""
+    return bool(getattr(importlib.import_module(_module(name)), "FOLDER", False))
+
+
+def _module(name: str) -> str:
+    known = writers()
+    if name not in known:
+        raise InputError(f"unknown writer {name!r}; known are {', '.join(known) or 'none'}")
+    return known[name]
 
 
 def write_track(name: str, track: Track, path: str | os.PathLike[str], **options: Any) -> None:
@@ -45,11 +59,8 @@ def write_track(name: str, track: Track, path: str | os.PathLike[str], **options
     options: keyword arguments of the writer. Raises InputError on an unknown writer or option, on
     what the track lacks, on a place that others' files hold, and where nothing can be written.
     """
-    known = writers()
-    if name not in known:
-        raise InputError(f"unknown writer {name!r}; known are {', '.join(known) or 'none'}")
-    write = find_function(known[name], "write")
-    names = parameters(write, 2)
+    write = find_function(_module(name), "write")
+    names = options_of(name)
     unknown = [key for key in options if key not in names]
     if unknown:
         raise InputError(f"writer {name!r}: unknown option {unknown[0]!r}; known are {names}")
