@@ -214,7 +214,7 @@ def read_dataset(
         check_name("a table", name, _LONGEST)
     manifest = read_manifest(folder)
     if partial:
-        here = {p.stem for p in folder.iterdir()}
+        here = {p.stem for p in folder.iterdir() if p.suffix in (".csv", ".parquet")}
         sensors = {
             n: s for own in grouped(sensors).items() if own[0] in here for n, s in own[1].items()
         }

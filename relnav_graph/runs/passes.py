@@ -84,7 +84,18 @@ def open_dataset(folder: Path, assignments: Sequence[str] = (), trust: bool = Fa
     """
     _need_folder(folder)
     raw = override(read_scenario_of(folder, trust), assignments)
-    scenario = make_scenario(raw, folder.resolve().name, read_settings_of(folder, raw), trust)
+    name, data = folder.resolve().name, raw.get("data")
+    parts = isinstance(data, dict) and "parts" in data
+
+    def made(settings: Mapping[str, Any] | None) -> Scenario:
+        return make_scenario(raw, name, settings, trust)
+
+    if parts and not (folder / "dataset.toml").exists():  # files of others, as they came
+        recording = _read_folder(name, raw, folder, made)
+        scenario = made(recording.settings)
+        seed = scenario.file.seed
+        return Pass(scenario, scenario.completed(recording, seed), seed, False)
+    scenario = made(read_settings_of(folder, raw))
     return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
 
 
