@@ -23,7 +23,9 @@ from relnav_graph.io.dataset import (
     read_settings_of,
     write_dataset,
 )
+from relnav_graph.linear.whitening import measurement_noise
 
+ONE = np.zeros(1, dtype=np.int64)
 # A table needs only the names of a sensor's columns, and how many rows its residual has.
 SENSORS: dict[str, Any] = {
     "beacons": SimpleNamespace(columns=("los_x", "los_y", "los_z"), rows=2),
@@ -348,3 +350,31 @@ def test_atomic_replaces_all_or_nothing(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="cannot be written"), atomic(wrong) as staged:
             staged.write_text("two", "utf-8")
     assert target.read_text("utf-8") == "one"
+
+
+def test_covariances_of_single_measurements_are_kept(tmp_path: Path) -> None:
+    """As columns, to the bit; and they count in the place of the sensor's own noise."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(4, 1, 1))
+    measured = tuple(
+        Measurement("range", float(k), np.array([[5.0 + k]]), ONE, covariance=A[k : k + 1] ** 2 + 1)
+        for k in range(4)
+    )
+    recording = Recording(np.arange(4.0), measured)
+    sensors: Any = {"range": SENSORS["range"]}
+    write_dataset(tmp_path / "set", {}, recording, sensors, {}, {})
+    found = read_dataset(tmp_path / "set", sensors, {}, {})
+    for a, b in zip(found.measurements, measured, strict=True):
+        assert a.covariance is not None
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+        np.testing.assert_array_equal(measurement_noise("range", sensors["range"], a), b.covariance)
+    part = Recording(np.arange(2.0), (measured[0], replace(measured[1], covariance=None)))
+    with pytest.raises(InputError, match=r"'range' at t = 1.0 s: found no covariance, but others"):
+        write_dataset(tmp_path / "part", {}, part, sensors, {}, {})
+    table = tmp_path / "set" / "range.csv"
+    (tmp_path / "set" / "dataset.toml").unlink()
+    table.write_text("t_s,id,range_m,cov_1_1\n0,0,5,0\n")
+    with pytest.raises(InputError, match=r"column cov_1_1: found 0\.0, expected a variance"):
+        read_dataset(tmp_path / "set", sensors, {}, {})
+    with pytest.raises(InputError, match=r"found a covariance \(2, 1, 1\), expected"):
+        Measurement("range", 0.0, np.ones((1, 1)), ONE, covariance=np.ones((2, 1, 1)))
