@@ -166,7 +166,7 @@ def test_what_a_track_and_a_table_lack(tmp_path: Path) -> None:
         ({"orbital": True}, "found no orbit of the target"),
     ):
         with pytest.raises(InputError, match=says):
-            write_track("aem", one, path, epoch=EPOCH, **options)  # type: ignore[arg-type]
+            write_track("aem", one, path, epoch=EPOCH, **options)
     message(path, "AEM", [TURN])
     for text, says in (
         ("t_s\n0\n", "found no columns cov_1_1"),

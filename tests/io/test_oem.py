@@ -124,7 +124,8 @@ def bias() -> Array:
     R1 = np.array([[1, 0, 0], [0, 1, -eta], [0, eta, 1]])
     R2 = np.array([[1, 0, -xi], [0, 1, 0], [xi, 0, 1]])
     R3 = np.array([[1, da, 0], [-da, 1, 0], [0, 0, 1]])
-    return R1 @ R2 @ R3
+    out: Array = R1 @ R2 @ R3
+    return out
 
 
 def test_eme2000_is_not_gcrf(tmp_path: Path) -> None:
@@ -166,7 +167,7 @@ def formation(folder: Path, t: Array, own: Array) -> tuple[Path, Path]:
     from relnav_graph.maths.frames import from_rtn  # what is tested is checked by hand below
 
     begin = Instant.parse("2020-01-01T00:00:00 TT")
-    steps = 60.0 * np.arange(int(t[-1] // 60) + 3) - 60.0
+    steps = 60.0 * np.arange(int(t[-1] // 60) + 3, dtype=np.float64) - 60.0
     out = []
     for name, at, state in (
         ("target", steps, circle(steps)),
@@ -202,8 +203,8 @@ def test_two_orbits_are_a_relative_one(tmp_path: Path) -> None:
 
 
 def test_between_states_errs_as_it_says() -> None:
-    t = 0.19 / RATE * np.arange(8)
-    times = np.linspace(0.0, t[-1], 200)
+    t = 0.19 / RATE * np.arange(8, dtype=np.float64)
+    times = np.linspace(0.0, float(t[-1]), 200, dtype=np.float64)
     found = between_states(t, circle(t), times)
     error = np.abs(found - circle(times))
     inner = (times > t[1]) & (times < t[-2])
@@ -290,7 +291,7 @@ def test_measured_positions_go_to_a_sensor(tmp_path: Path) -> None:
     ],
 )
 def test_what_no_ephemeris_says_is_refused_with_its_line(
-    tmp_path: Path, lines: list[str], meta: dict[str, str | None], says: str
+    tmp_path: Path, lines: list[str], meta: dict[str, Any], says: str
 ) -> None:
     path = message(tmp_path / "a.oem", "OEM", lines, **meta)
     with pytest.raises(InputError, match=rf"a\.oem.*{says}"):
@@ -349,7 +350,7 @@ def test_what_a_track_lacks_and_files_of_others(tmp_path: Path) -> None:
         ({"epoch": EPOCH, "object": "A\nB"}, "expected a text of one line"),
     ):
         with pytest.raises(InputError, match=says):
-            write_track("oem", one, path, **options)  # type: ignore[arg-type]
+            write_track("oem", one, path, **options)
     assert not path.exists()
     path.write_text("mine")
     with pytest.raises(InputError, match="is not of this package"):
@@ -380,9 +381,9 @@ def test_the_other_states_of_a_track(tmp_path: Path) -> None:
     for orbital in (False, True):
         options = {"epoch": EPOCH, "orbital": orbital, "covariance": "RTN"}
         with pytest.raises(InputError, match="found no orbit of the target"):
-            write_track("oem", part, paths["chaser"], **options)  # type: ignore[arg-type]
+            write_track("oem", part, paths["chaser"], **options)
         options["target"] = str(paths["target"])
-        write_track("oem", part, paths["chaser"], **options)  # type: ignore[arg-type]
+        write_track("oem", part, paths["chaser"], **options)
         known = Known(orbital=orbital)
         read = {"role": "truth", "target": "target.oem", "covariance": True}
         found = read_raw("oem", paths["chaser"], read, known).truth

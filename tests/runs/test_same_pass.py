@@ -70,7 +70,7 @@ N, STEP = 21, 0.3
 
 def recorded() -> tuple[Array, Array, Array, Array, Array]:
     """Times, positions and quaternions of the poses, fixes, rates of the gyro."""
-    rng, t = np.random.default_rng(0), STEP * np.arange(N)
+    rng, t = np.random.default_rng(0), STEP * np.arange(N, dtype=np.float64)
     R = [so3.exp(np.array([0.1, 0.2, 0.3]) + s * np.array([0.05, -0.02, 0.1])) for s in t]
     q = np.array([so3.quaternion(one) for one in R])
     r = np.array([5.0, 1.0, 0.0]) + np.outer(t, [0.1, 0, 0]) + 0.02 * rng.normal(size=(N, 3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,16 +39,14 @@ def track(n: int = 12, seed: int = 0, step: float = 1.0) -> Track:
     rng = np.random.default_rng(seed)
     blocks = [CHASER_POSITION, CHASER_VELOCITY, RELATIVE_POSITION, RELATIVE_VELOCITY]
     layout = Layout([*blocks, CHASER_ATTITUDE])
-    t = step * np.arange(n) + 0.1
+    t: Array = step * np.arange(n, dtype=np.float64) + 0.1
     R = np.array([so3.exp(phi).reshape(9) for phi in rng.normal(size=(n, 3))])
     x = np.hstack([circle(t), rng.normal(size=(n, 6)) * 100, R])
     A = rng.normal(size=(n, layout.dim, layout.dim))
     return Track("one", "smoothed", layout, t, x, A @ A.transpose(0, 2, 1))
 
 
-def message(
-    path: Path, kind: str, rows: Sequence[str], version: str = "2.0", **meta: str | None
-) -> Path:
+def message(path: Path, kind: str, rows: Sequence[str], version: str = "2.0", **meta: Any) -> Path:
     """A file with one segment. meta: entries in place of the usual ones, None: without it."""
     usual: dict[str, str | None] = {"OBJECT_NAME": "CHASER", "OBJECT_ID": "2000-001A"}
     own = {"OEM": ("CENTER_NAME", "EARTH"), "AEM": ("REF_FRAME_A", "ICRF")}[kind]
