@@ -164,7 +164,11 @@ def module_by_suffix(found: Mapping[str, str], path: Path) -> str | None:
     """The name of the module, of those found, whose SUFFIXES has the end of the name of a file;
     None: there is none."""
     for name, module in found.items():
-        ends = getattr(importlib.import_module(module), "SUFFIXES", ())
+        try:
+            ends = getattr(importlib.import_module(module), "SUFFIXES", ())
+        except (Exception, SystemExit) as error:  # it may be a stranger's code
+            _LOG.warning(f"{module} cannot be imported: {type(error).__name__}: {error}")
+            continue
         if path.name.lower().endswith(tuple(ends)):
             return name
     return None

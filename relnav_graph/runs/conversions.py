@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from relnav_graph.core.catalogue import (
+    CHASER_ATTITUDE,
     CHASER_POSITION,
     CHASER_VELOCITY,
+    RELATIVE_ATTITUDE,
     RELATIVE_POSITION,
     RELATIVE_VELOCITY,
+    TARGET_ATTITUDE,
 )
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
@@ -18,7 +21,7 @@ from relnav_graph.io.dataset import Format, write_dataset
 from relnav_graph.io.known import Known
 from relnav_graph.io.parts import read_data
 from relnav_graph.io.readers import by_suffix as reader_of
-from relnav_graph.io.readers import read_raw
+from relnav_graph.io.readers import options_wrong, read_raw
 from relnav_graph.io.results import read_results
 from relnav_graph.io.writers import by_suffix as writer_of
 from relnav_graph.io.writers import fills_folder, options_of, write_track
@@ -29,7 +32,10 @@ from relnav_graph.scoring.metrics import with_smoothed
 
 __all__ = ["convert_orbits", "convert_results", "write_pass"]
 
-_BLOCKS = (RELATIVE_POSITION, RELATIVE_VELOCITY, CHASER_POSITION, CHASER_VELOCITY)
+_BLOCKS = (
+    *(RELATIVE_POSITION, RELATIVE_VELOCITY, CHASER_POSITION, CHASER_VELOCITY),
+    *(RELATIVE_ATTITUDE, CHASER_ATTITUDE, TARGET_ATTITUDE),
+)
 
 
 def write_pass(opened: Any, target: Path, tables: Format) -> int:
@@ -81,7 +87,8 @@ def convert_orbits(
     scenario: Path | None = None,
     tables: Format = "csv",
 ) -> str:
-    """Make data of the chaser's orbit in a file and of the target's in another; in words.
+    """Make data of a file of true states: the chaser's orbit and, of another file, the target's;
+    what was written, in words.
 
     Without a scenario it is a folder of truth, for ``[data] reader = "tables"`` with sensors to
     simulate (o is i); with one a whole data set, o as it says, and its data.simulate drawn. Raises
@@ -90,7 +97,7 @@ def convert_orbits(
     reader = reader_of(source)
     if reader is None:
         raise InputError(f"{source}: no reader knows files of that name")
-    options: dict[str, Any] = {"role": "truth"}
+    options: dict[str, Any] = {} if options_wrong(reader, {"role": ""}) else {"role": "truth"}
     if target is not None:
         options["target"] = str(target.resolve())
     if scenario is None:

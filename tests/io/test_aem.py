@@ -100,6 +100,9 @@ def test_which_way_a_quaternion_turns(tmp_path: Path) -> None:
     other = {"REF_FRAME_A": "SC_BODY_1", "REF_FRAME_B": "ICRF"}
     message(path, "AEM", [TURN], **other)
     np.testing.assert_allclose(read_attitudes(path).q_wxyz[0, [0, 3]], [c, -s])
+    # Rates beside it are left alone.
+    message(path, "AEM", [TURN + " 0 0 0.1"], ATTITUDE_TYPE="QUATERNION/ANGVEL")
+    np.testing.assert_allclose(read_attitudes(path).q_wxyz[0, [0, 3]], [c, s])
     # In EME2000 23 mas are between: by ERFA's bias from GCRF to it.
     message(path, "AEM", [TURN], REF_FRAME_A="EME2000")
     truth = true(path).truth

@@ -16,6 +16,7 @@ from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.ccsds.message import unscaled
+from relnav_graph.io.covariances import covariance_columns
 from relnav_graph.io.tabular import write_table
 from relnav_graph.maths import so3
 from relnav_graph.maths.instants import Instant
@@ -181,3 +182,36 @@ def test_wrong_parts_are_all_named(tmp_path: Path, capsys: pytest.CaptureFixture
     path.write_text(tomli_w.dumps({**SCENARIO, "data": {"parts": lacks}}))
     with pytest.raises(InputError, match=r"data\.parts\.pose: .*none\.oem: no such file"):
         open_pass(path, data=tmp_path)
+
+
+def test_covariances_of_files_count_in_the_place_of_sigmas(tmp_path: Path) -> None:
+    """Of a pose: those of an OEM and of the table beside an AEM. Where they are those of the
+    sensors, nothing changes."""
+    path = as_messages(tmp_path / "files")
+    plain = open_pass(path, data=path.parent)
+    position, attitude = 0.02**2, 0.01**2
+    file = path.parent / "pose.oem"
+    times = [line.split()[0] for line in file.read_text().splitlines() if line[:2] == "20"]
+    text = ["COVARIANCE_START"]
+    for when in times:
+        text.append(f"EPOCH = {when}")
+        text += [" ".join([*["0"] * i, unscaled(position, 6)]) for i in range(6)]
+    file.write_text(file.read_text() + "\n".join([*text, "COVARIANCE_STOP"]) + "\n")
+    side: dict[str, Array] = {"t_s": np.round(STEP * np.arange(N), 9)}
+    for name in covariance_columns(3):
+        same = name[4] == name[6]
+        side[name] = np.full(N, attitude if same else 0.0)
+    write_table(path.parent / "pose_covariances.csv", side)
+    options = {"data.parts.pose.options.covariance=true"}
+    known = open_pass(path, data=path.parent, assignments=tuple(options))
+    P = known.recording.measurements[0].covariance
+    assert P is not None
+    np.testing.assert_allclose(np.diag(P[0]), [position] * 3 + [attitude] * 3, rtol=1e-14)
+    one, other = (run_estimator("batch", p.problem) for p in (plain, known))
+    d = one.layout.local(one.x, other.x) / np.sqrt(np.einsum("nii->ni", one.P))
+    assert np.abs(d).max() < 1e-6
+    loose = {**side, **{f"cov_{i}_{i}": np.full(N, 100 * attitude) for i in (1, 2, 3)}}
+    write_table(path.parent / "pose_covariances.csv", loose)
+    again = open_pass(path, data=path.parent, assignments=tuple(options))
+    worse = run_estimator("batch", again.problem).covariance("relative_attitude")
+    assert (np.trace(worse, axis1=1, axis2=2) > np.trace(one.P[:, :3, :3], axis1=1, axis2=2)).all()

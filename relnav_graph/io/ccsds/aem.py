@@ -8,6 +8,7 @@ In AEM 1.0 ATTITUDE_DIR = B2A says the reverse, and QUATERNION_TYPE where QC sta
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,8 +29,17 @@ from relnav_graph.maths.instants import NS, Instant
 
 __all__ = ["SIDE", "Attitudes", "read_attitudes"]
 
+_LOG = logging.getLogger(__name__)
+
 #: The table of covariances beside a file, in place of its suffix: AEM has none.
 SIDE = "_covariances"
+#: Types of attitude that are read: words that follow the quaternion.
+_TYPES = {
+    "QUATERNION": 0,
+    "QUATERNION/DERIVATIVE": 4,
+    "QUATERNION/RATE": 3,
+    "QUATERNION/ANGVEL": 3,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,18 +65,22 @@ class Attitudes:
         return self.covariance
 
 
-def _quaternions(message: Message, rows: Sequence[Row], first: bool) -> Array:
-    """q_wxyz (N, 4). first: whether QC is. Raises InputError, with the line."""
+def _quaternions(message: Message, rows: Sequence[Row], first: bool, more: int) -> Array:
+    """q_wxyz (N, 4). first: whether QC is; more: words of rates that may follow. Raises InputError,
+    with the line."""
     for line, words in rows:
-        if len(words) != 5:
+        if len(words) not in (5, 5 + more):
             raise InputError(
-                f"{message.at(line)}: found {len(words)} words, expected 5: epoch, quaternion"
+                f"{message.at(line)}: found {len(words)} words, expected {5 + more}: epoch,"
+                " quaternion" + (", rates" if more else "")
             )
+    if more:
+        _LOG.info(f"{message.path}: rates are left alone")
     try:
-        found = np.array([words[1:] for _, words in rows], np.float64)
+        found = np.array([words[1:5] for _, words in rows], np.float64)
     except ValueError as error:
         for line, words in rows:
-            for word in words[1:]:
+            for word in words[1:5]:
                 try:
                     float(word)
                 except ValueError:
@@ -93,9 +107,7 @@ def _product(a: Array, b: Array) -> Array:
 
 def _segment(message: Message, segment: Segment) -> tuple[list[int], Array, bool]:
     """Epochs, ns of TAI, q_wxyz (N, 4) of R_AB with i for A, and whether A is i."""
-    message.one_of(
-        segment, "ATTITUDE_TYPE", {"QUATERNION": 0}, ": other types of attitude are not read"
-    )
+    more = message.one_of(segment, "ATTITUDE_TYPE", _TYPES, ": other attitudes are not read")
     first, back = False, False
     if message.version == "1.0":
         first = message.one_of(segment, "QUATERNION_TYPE", {"FIRST": True, "LAST": False})
@@ -103,7 +115,7 @@ def _segment(message: Message, segment: Segment) -> tuple[list[int], Array, bool
     if not segment.rows:
         line = message.entry(segment, "OBJECT_NAME")[0]
         raise InputError(f"{message.at(line)}: found no attitude in this segment")
-    q = _quaternions(message, segment.rows, first)
+    q = _quaternions(message, segment.rows, first, more)
     if back:
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
     ends, stars = [], []

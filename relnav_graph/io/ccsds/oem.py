@@ -126,6 +126,8 @@ def _numbers(message: Message, rows: Sequence[Row]) -> Array:
                 f"{message.at(line)}: found {len(words)} words, expected 7: epoch, X Y Z (km),"
                 " X_DOT Y_DOT Z_DOT (km/s); or 10, with accelerations"
             )
+    if any(len(words) == 10 for _, words in rows):
+        _LOG.info(f"{message.path}: accelerations are left alone")
     try:
         found = np.array([[scaled(w, 3) for w in words[1:7]] for _, words in rows], np.float64)
     except ValueError:
@@ -239,6 +241,11 @@ def read_ephemeris(
             turned, of_errors = to_gcrf(place, frame, epoch, t, numbers, table)
         P = _covariances(message, segment, ns, of_errors, turned, frame, centre == EARTH)
         allowed = useable(message, segment, ns)
+        if not allowed.all():
+            _LOG.info(
+                f"{path}: {int((~allowed).sum())} of {len(ns)} states are outside the useable time,"
+                " and serve for interpolation alone"
+            )
         parts.append((ns, turned, allowed, P, centre, frame if of_body else "", line))
     return _joined(message, parts, segments_of(message, name, option)[0])
 

@@ -86,38 +86,61 @@ def read(
     states = _relative(own, taken, other, known.orbital)
     if role == "truth":
         return _truth(own, taken, t, states, covariance, settings)
-    absolute = _absolute(path, known, sensor, own, other)
-    name = "own" if absolute else "relative"
-    columns = dict(zip((*_PLACE, *_SPEED), states[name][0].T, strict=True))
-    P = own.need_covariance(taken) if covariance else None
-    if P is not None:
-        P = states[name][1] @ P @ np.swapaxes(states[name][1], 1, 2)
-    z, order, R = columns, (*_PLACE, *_SPEED), P
+    name = "own" if _absolute(path, known, sensor, own, other) else "relative"
+    z, R = _observed(own, taken, *states[name], covariance)
     if attitude:
-        q, P_q = _attitudes(path.parent / attitude, own, taken, covariance)
-        z = columns | dict(zip(_QUATERNION, q.T, strict=True))
-        order = (*_PLACE, "rx", "ry", "rz")
-        if P is not None and P_q is not None:
-            R = np.zeros((len(t), 6, 6))
-            R[:, :3, :3], R[:, 3:, 3:] = P[:, :3, :3], P_q
+        _add_attitudes(path.parent / attitude, own, taken, z, R)
     chosen = sensor_columns(path, known, sensor, z)
-    rows = [order.index(c) for c in _rows_of(chosen)] if R is not None else []
-    values = np.column_stack([z[c] for c in chosen])
-    ids = np.zeros(1, np.int64)
-    measurements = tuple(
-        Measurement(
-            *(sensor, float(s), values[k : k + 1], ids),
-            covariance=None if R is None else R[k : k + 1][:, rows][:, :, rows],
-        )
-        for k, s in enumerate(t)
+    return Recording(t, _measurements(sensor, t, z, R, chosen), {}, None, settings)
+
+
+def _observed(
+    own: Ephemeris, taken: Any, state: Array, T: Array, covariance: bool
+) -> tuple[dict[str, Array], dict[tuple[str, ...], Array]]:
+    """Columns (M,) of positions and velocities, and, if asked for, covariances of these, by their
+    rows: (M, 6, 6), SI. T (M, 6, 6): what turns errors of the file into those of `state`."""
+    rows: tuple[str, ...] = (*_PLACE, *_SPEED)
+    P = {rows: T @ own.need_covariance(taken) @ np.swapaxes(T, 1, 2)} if covariance else {}
+    return dict(zip(rows, state.T, strict=True)), P
+
+
+def _add_attitudes(
+    path: Path, own: Ephemeris, taken: Any, z: dict[str, Array], P: dict[tuple[str, ...], Array]
+) -> None:
+    """Add columns of q_wxyz at the times of the positions, from an AEM file, and, where positions
+    have covariances, its own (M, 3, 3), rad^2. Raises InputError on a time that it lacks."""
+    found = read_attitudes(path)
+    ns = np.rint(own.t[taken] * 1e9).astype(np.int64) + own.epoch.ns_since(found.epoch)
+    its = np.rint(found.t * 1e9).astype(np.int64)
+    k = np.clip(np.searchsorted(its, ns), 0, len(its) - 1)
+    if (its[k] != ns).any():
+        lacks = own.epoch.after(float(own.t[taken][np.argmax(its[k] != ns)]))
+        raise InputError(f"{path}: found no attitude at {lacks}, where {own.path} has a position")
+    z |= dict(zip(_QUATERNION, found.q_wxyz[k].T, strict=True))
+    if P:
+        P[_QUATERNION[1:]] = found.need_covariance()[k]
+
+
+def _measurements(
+    sensor: str,
+    t: Array,
+    z: dict[str, Array],
+    P: dict[tuple[str, ...], Array],
+    columns: tuple[str, ...],
+) -> tuple[Measurement, ...]:
+    """One measurement at each time: of a quaternion the residual has the rows x, y, z."""
+    values, ids = np.column_stack([z[c] for c in columns]), np.zeros(1, np.int64)
+    rows = [c for c in columns if c != "q_w"]
+    R = np.zeros((len(t), len(rows), len(rows)))
+    for names, own in P.items():
+        there = [(i, names.index(row)) for i, row in enumerate(rows) if row in names]
+        for i, a in there:
+            for j, b in there:
+                R[:, i, j] = own[:, a, b]
+    return tuple(
+        Measurement(sensor, s, values[k : k + 1], ids, covariance=R[k : k + 1] if P else None)
+        for k, s in enumerate(t.tolist())
     )
-    return Recording(t, measurements, {}, None, settings)
-
-
-def _rows_of(columns: tuple[str, ...]) -> list[str]:
-    """Rows of the residual of columns: three for the four of a quaternion."""
-    turns = {"q_w": [], "q_x": ["rx"], "q_y": ["ry"], "q_z": ["rz"]}
-    return [row for c in columns for row in turns.get(c, [c])]
 
 
 def _taken(own: Ephemeris, start: float, duration: float | None) -> tuple[Array, Any]:
@@ -204,17 +227,3 @@ def _absolute(
             ' expected a part with role = "target"'
         )
     return absolute
-
-
-def _attitudes(
-    path: Path, own: Ephemeris, taken: Any, covariance: bool
-) -> tuple[Array, Array | None]:
-    """q_wxyz (M, 4) at the times of positions, and covariances (M, 3, 3), rad^2."""
-    found = read_attitudes(path)
-    ns = np.rint(own.t[taken] * 1e9).astype(np.int64) + own.epoch.ns_since(found.epoch)
-    its = np.rint(found.t * 1e9).astype(np.int64)
-    k = np.clip(np.searchsorted(its, ns), 0, len(its) - 1)
-    if (its[k] != ns).any():
-        lacks = own.epoch.after(float(own.t[taken][np.argmax(its[k] != ns)]))
-        raise InputError(f"{path}: found no attitude at {lacks}, where {own.path} has a position")
-    return found.q_wxyz[k], found.need_covariance()[k] if covariance else None
