@@ -244,7 +244,8 @@ class Truth:
 class Recording:
     """Measurements, inputs and, where known, truth.
 
-    times: epochs to estimate at, s (N,); every measurement falls on one of them.
+    times: epochs to estimate at, s (N,); every measurement falls on one of them. Inertial axes are
+    those of GCRF, see `epoch` for when t = 0 is.
     settings: values that the data bring for the scenario (camera constants, points), as
     nested tables; a value written in the scenario wins over them.
     """

@@ -53,6 +53,10 @@ def test_a_track_comes_back_bit_for_bit(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth.values["chaser_attitude"], R, atol=1e-15)
     sigmas = np.sqrt(np.einsum("nii->ni", one.covariance("chaser_attitude")))
     np.testing.assert_array_equal(truth.sigmas["chaser_attitude"], sigmas)
+    write_track("aem", one, path, epoch=EPOCH, frame="EME2000")
+    turned = true(path).truth
+    assert turned is not None
+    np.testing.assert_allclose(turned.values["chaser_attitude"], R, rtol=0, atol=1e-14)
     # Written anew without, the old table is gone, too.
     write_track("aem", one, path, epoch=EPOCH, covariance=False)
     with pytest.raises(InputError, match=r"found no table a_covariances\.csv beside it"):

@@ -115,6 +115,9 @@ def test_covariances_turn_as_the_axes_do(tmp_path: Path) -> None:
     P = read_ephemeris(path).covariance[0]
     np.testing.assert_allclose(P, np.diag([9.0, 1.0, 4.0, 36.0, 16.0, 25.0]), atol=1e-12)
     one = track()
+    write_track("oem", one, tmp_path / "c.oem", epoch=EPOCH, frame="EME2000")
+    again = read_ephemeris(tmp_path / "c.oem")  # written in these axes, and turned back
+    np.testing.assert_allclose(again.state, one.x[:, :6], rtol=0, atol=1e-8)
     for frame in ("RTN", "EME2000"):
         write_track("oem", one, tmp_path / "b.oem", epoch=EPOCH, covariance=frame)
         own = one.covariance("chaser_position", "chaser_velocity")
