@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from relnav_graph.core.track import Recording, Track, Truth
     from relnav_graph.estimators import run_estimator
     from relnav_graph.estimators.online.driver import online
+    from relnav_graph.io.readers import read_raw
+    from relnav_graph.io.writers import write_track
     from relnav_graph.runs.comparison import Comparison, compare
     from relnav_graph.runs.graph import to_gtsam, to_track
     from relnav_graph.scenario.build import load_scenario
@@ -57,9 +59,11 @@ __all__ = [
     "load_scenario",
     "make_epochs",
     "online",
+    "read_raw",
     "run_estimator",
     "to_gtsam",
     "to_track",
+    "write_track",
 ]
 
 #: Where each of them lives: loaded when first asked for, so that the import itself costs nothing.
@@ -77,9 +81,11 @@ _HOMES = {
     "load_scenario": "scenario.build",
     "make_epochs": "core.epochs",
     "online": "estimators.online.driver",
+    "read_raw": "io.readers",
     "run_estimator": "estimators",
     "to_gtsam": "runs.graph",
     "to_track": "runs.graph",
+    "write_track": "io.writers",
 }
 
 

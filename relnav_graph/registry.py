@@ -1,23 +1,34 @@
-"""Finding classes by their `kind`, in every package that an entry point names.
+"""Finding classes by their `kind`, and modules by their name, in every package that an entry point
+names.
 
-One entry per package, whose modules are walked: a new model, truth or estimator is truly
-one new file, and a third party's package adds its own without touching this one.
+One entry per package, whose modules are walked: a new model, truth, estimator, reader or writer is
+truly one new file, and a third party's package adds its own without touching this one.
 """
 
 from __future__ import annotations
 
 import importlib
+import inspect
 import logging
 import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from relnav_graph.errors import ModelError
 
-__all__ = ["classes", "find_class", "provides"]
+__all__ = [
+    "classes",
+    "find_class",
+    "find_function",
+    "module_by_suffix",
+    "modules",
+    "parameters",
+    "provides",
+]
 
 
 _LOG = logging.getLogger(__name__)
@@ -40,6 +51,18 @@ def _with_a_kind(module: ModuleType) -> Iterator[type[Any]]:
             yield cls
 
 
+def _leave_out(entry: EntryPoint, error: BaseException) -> None:
+    """Say that an entry point of another distribution is left out, and why; raise an error of our
+    own."""
+    owner = entry.dist.name if entry.dist is not None else "unknown"
+    if owner == _OWN:
+        raise error
+    _LOG.warning(
+        f"{entry.group}: {entry.name} = {entry.value!r} of {owner} cannot be imported, and is"
+        f" left out: {type(error).__name__}: {error}"
+    )
+
+
 def _classes_of(entry: EntryPoint) -> list[type[Any]]:
     """The classes in the package of an entry point.
 
@@ -50,13 +73,7 @@ def _classes_of(entry: EntryPoint) -> list[type[Any]]:
     try:
         modules = list(_modules(entry.value))
     except (Exception, SystemExit) as error:
-        owner = entry.dist.name if entry.dist is not None else "unknown"
-        if owner == _OWN:
-            raise
-        _LOG.warning(
-            f"{entry.group}: {entry.name} = {entry.value!r} of {owner} cannot be imported, and is"
-            f" left out: {type(error).__name__}: {error}"
-        )
+        _leave_out(entry, error)
         return []
     found = [cls for module in modules for cls in _with_a_kind(module)]
     if not found:
@@ -110,3 +127,67 @@ def provides(cls: type[Any], contract: type[Any]) -> bool:
     attributes.)"""
     named = {*vars(contract), *getattr(contract, "__annotations__", {})}
     return all(hasattr(cls, name) for name in named if not name.startswith("_"))
+
+
+def _names_in(package: str) -> dict[str, str]:
+    """Modules of a package, by their last name, without those that begin with an underscore; of a
+    single module itself."""
+    root = importlib.import_module(package)
+    if not hasattr(root, "__path__"):
+        return {package.rpartition(".")[2]: package}
+    found = (info.name for info in pkgutil.iter_modules(root.__path__))
+    return {name: f"{package}.{name}" for name in found if not name.startswith("_")}
+
+
+@cache
+def modules(group: str, own: str) -> Mapping[str, str]:
+    """Modules by name: of the package `own`, and of all that an entry-point group names, each a
+    package with a module for each thing, or one module.
+
+    They are imported at their first use. Another distribution's package that cannot be imported is
+    named in a warning and left out. Raises ModelError on a name that two of them have.
+    """
+    found = _names_in(own)
+    for value, entry in sorted({e.value: e for e in entry_points(group=group)}.items()):
+        try:
+            others = _names_in(value)
+        except (Exception, SystemExit) as error:
+            _leave_out(entry, error)
+            continue
+        for name, module in others.items():
+            if found.setdefault(name, module) != module:
+                raise ModelError(f"{group}: {name!r} is there twice: {found[name]} and {module}")
+    return dict(sorted(found.items()))
+
+
+def module_by_suffix(found: Mapping[str, str], path: Path) -> str | None:
+    """The name of the module, of those found, whose SUFFIXES has the end of the name of a file;
+    None: there is none."""
+    for name, module in found.items():
+        try:
+            ends = getattr(importlib.import_module(module), "SUFFIXES", ())
+        except (Exception, SystemExit) as error:  # it may be a stranger's code
+            _LOG.warning(f"{module} cannot be imported: {type(error).__name__}: {error}")
+            continue
+        if path.name.lower().endswith(tuple(ends)):
+            return name
+    return None
+
+
+def find_function(module: str, name: str) -> Callable[..., Any]:
+    """A function of a module, for which others count on it. Raises ModelError when the module
+    cannot be imported, or has none."""
+    try:
+        function = getattr(importlib.import_module(module), name)
+    except (Exception, SystemExit) as error:  # it may be a stranger's code
+        reason = f"{type(error).__name__}: {error}"
+        raise ModelError(f"{module}: {name}() cannot be had: {reason}") from error
+    if not callable(function):
+        raise ModelError(f"{module}: {name} is {function!r}, expected a function")
+    found: Callable[..., Any] = function
+    return found
+
+
+def parameters(function: Callable[..., Any], first: int) -> list[str]:
+    """Names of the parameters of a function after the `first` ones: the options that it takes."""
+    return list(inspect.signature(function).parameters)[first:]

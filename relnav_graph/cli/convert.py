@@ -1,4 +1,4 @@
-"""``relnav convert``: between data folders, data sets and results."""
+"""``relnav convert``: between data folders, data sets, results and files of others."""
 
 from __future__ import annotations
 
@@ -8,22 +8,31 @@ import click
 
 from relnav_graph.cli.shared import show_events, show_progress
 from relnav_graph.errors import InputError
-from relnav_graph.io.dataset import Format, write_dataset
-from relnav_graph.io.results import read_results
-from relnav_graph.io.track_tables import write_csv
+from relnav_graph.io.dataset import Format
+from relnav_graph.io.readers import by_suffix
+from relnav_graph.runs.conversions import convert_orbits, convert_results, write_pass
 from relnav_graph.runs.passes import is_dataset, open_dataset, open_pass
+from relnav_graph.scenario.toml import override
 
 
 @click.command("convert")
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
-@click.option("--scenario", type=click.Path(path_type=Path), help="For a raw folder: its scenario.")
+@click.option("--to", metavar="FORMAT", default="", help="Of OUT, else by its suffix: a writer.")
+@click.option("--track", default="", help="Of results with several, also NAME_smoothed.")
+@click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Of the writer.")
+@click.option("--target", "orbit", type=click.Path(path_type=Path), help="The target's orbit.")
+@click.option("--scenario", type=click.Path(path_type=Path), help="For raw data: their scenario.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("--trust", is_flag=True, help="Let the data set name modules to import.")
 @click.option("--parquet", is_flag=True, help="Parquet tables instead of CSV (extra: data).")
 def command(
     source: Path,
     target: Path,
+    to: str,
+    track: str,
+    options: tuple[str, ...],
+    orbit: Path | None,
     scenario: Path | None,
     assignments: tuple[str, ...],
     trust: bool,
@@ -33,14 +42,24 @@ def command(
 
     \b
     results.nc        -> folder of CSV tables, one per estimator
+    results.nc        -> file of another format, by a writer (see relnav list): OEM, AEM, ...
     data set          -> data set (CSV or, with --parquet, Parquet tables)
     raw data folder   -> data set, by the reader that --scenario names
+    chaser.oem        -> folder of true orbits, with --target target.oem of relative ones;
+                         with --scenario a data set
     """  # noqa: D301  click wants the character itself
-    if source.is_file():
-        tracks, _, _ = read_results(source)
-        write_csv(target, tracks)
-        show_progress(f"{target}: {len(tracks)} tracks")
+    tables: Format = "parquet" if parquet else "csv"
+    if source.is_file() and by_suffix(source) is not None:
+        show_events()
+        show_progress(convert_orbits(source, target, orbit, scenario, tables))
         return
+    if source.is_file():
+        if parquet and not to:
+            to = "parquet"
+        show_progress(convert_results(source, target, to, track, override({}, options)))
+        return
+    if to:
+        raise InputError(f"--to {to}: found {source}, expected a file of results")
     show_events()
     if is_dataset(source):
         opened = open_dataset(source, assignments, trust)
@@ -50,11 +69,4 @@ def command(
         raise InputError(f"{source}: no scenario.toml in it; a raw folder needs --scenario")
     else:
         raise InputError(f"{source}: found nothing, expected a results file or a folder")
-    blocks = {b.name: b for b in opened.scenario.layout}
-    tables: Format = "parquet" if parquet else "csv"
-    s = opened.scenario
-    stamped = opened.recording.shifted(s.file.time.origin)
-    write_dataset(
-        target, s.raw, stamped, s.sensors, s.input_columns, blocks, tables, s.file.time.origin
-    )
-    show_progress(f"{target}: {len(opened.recording.times)} epochs")
+    show_progress(f"{target}: {write_pass(opened, target, tables)} epochs")

@@ -11,7 +11,8 @@ from relnav_graph import estimators
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Derived, Dynamics, Sensor
 from relnav_graph.errors import InputError
-from relnav_graph.io.readers import READERS
+from relnav_graph.io.readers import readers
+from relnav_graph.io.writers import writers
 from relnav_graph.registry import classes, provides
 from relnav_graph.scenario.toml import read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
@@ -32,7 +33,7 @@ def _section(title: str, rows: dict[str, str]) -> None:
 @click.command("list")
 @click.argument("folder", type=click.Path(path_type=Path), default=Path("experiments"))
 def command(folder: Path) -> None:
-    """List models, estimators, truths, readers, and the scenarios in FOLDER."""
+    """List models, estimators, truths, readers, writers, and the scenarios in FOLDER."""
     found = classes(models.ENTRY_POINTS)
     for title, contract in (
         ("Sensors", Sensor),
@@ -42,7 +43,8 @@ def command(folder: Path) -> None:
         _section(title, {k: _first_line(c) for k, c in found.items() if provides(c, contract)})
     for title, group in (("Estimators", estimators.GROUP), ("Truth and inputs", TRUTHS)):
         _section(title, {k: _first_line(c) for k, c in classes(group).items()})
-    _section("Readers of recorded data", dict.fromkeys(READERS, ""))
+    _section("Readers of recorded data", dict.fromkeys(readers(), ""))
+    _section("Writers of tracks", dict.fromkeys(writers(), ""))
     scenarios = {}
     for path in sorted(folder.glob("*.toml")):
         try:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import click
 
 from relnav_graph.cli.shared import show_events
 from relnav_graph.core.cautions import Caution
+from relnav_graph.io.parts import data_problems
 from relnav_graph.runs.passes import open_dataset
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.json_schema import json_schema
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.schema import ScenarioError
+from relnav_graph.scenario.toml import override, read_toml
 
 
 @click.command("validate")
@@ -40,8 +43,20 @@ def command(file: Path | None, assignments: tuple[str, ...], trust: bool, schema
         click.echo(f"epochs: {len(opened.recording.times)}")
         _describe(file, opened.scenario, opened.problem.cautions)
     else:
-        scenario = load_scenario(file, assignments)
+        scenario = _scenario(file, assignments)
         _describe(file, scenario, scenario.cautions)
+
+
+def _scenario(file: Path, assignments: Sequence[str]) -> Scenario:
+    """The scenario, with its readers checked, too. Raises ScenarioError with all that is wrong."""
+    problems = data_problems(override(read_toml(file), assignments).get("data"))
+    try:
+        scenario = load_scenario(file, assignments)
+    except ScenarioError as error:
+        raise ScenarioError(file.stem, [*error.problems, *problems]) from error
+    if problems:
+        raise ScenarioError(file.stem, problems)
+    return scenario
 
 
 def _describe(file: Path, scenario: Scenario, cautions: Iterable[Caution]) -> None:

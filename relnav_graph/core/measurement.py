@@ -62,7 +62,7 @@ class Measurement:
             R = np.ascontiguousarray(self.covariance, dtype=np.float64)
             if R.ndim != 3 or len(R) != len(z) or not np.isfinite(R).all():
                 raise InputError(f"{where}: R is {R.shape}, expected finite ({len(z)}, rows, rows)")
-            object.__setattr__(self, "R", R)
+            object.__setattr__(self, "covariance", R)
         object.__setattr__(self, "z", np.ascontiguousarray(z, dtype=np.float64))
         object.__setattr__(self, "ids", ids)
 

@@ -112,8 +112,9 @@ def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
     """Epochs as plain arrays, by name; `unpack` gives the same again.
 
     times (N,), s; of measurement j of epoch k: ``k.z.j.sensor`` (m, nz), ``k.ids.j.sensor``
-    (m,) and ``k.stamps.j.sensor`` (2,): time and arrival, s, NaN where not known; of its
-    inputs: ``k.u.process`` (rows, 1 + channels).
+    (m,) and ``k.stamps.j.sensor`` (2,): time and arrival, s, NaN where not known, and, where it has
+    its own, ``k.cov.j.sensor`` (m, rows, rows), SI; of its inputs: ``k.u.process`` (rows, 1 +
+    channels).
     """
     out = {"times": np.array([e.t for e in epochs])}
     for k, epoch in enumerate(epochs):
@@ -124,7 +125,7 @@ def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
             out[f"{k}.ids.{j}.{m.sensor}"] = m.ids.astype(np.float64)
             out[f"{k}.stamps.{j}.{m.sensor}"] = np.array([m.t, arrival])
             if m.covariance is not None:
-                out[f"{k}.covariance.{j}.{m.sensor}"] = m.covariance
+                out[f"{k}.cov.{j}.{m.sensor}"] = m.covariance
         for process, u in epoch.inputs.items():
             out[f"{k}.u.{process}"] = np.asarray(u, dtype=np.float64)
     return out
@@ -145,9 +146,9 @@ def unpack(arrays: Mapping[str, Array]) -> list[Epoch]:
             rest = f"{parts[2]}.{parts[3]}"
             t, arrival = arrays[f"{parts[0]}.stamps.{rest}"]
             ids = arrays[f"{parts[0]}.ids.{rest}"].astype(np.int64)
-            when = None if np.isnan(arrival) else float(arrival)
-            R = arrays.get(f"{parts[0]}.covariance.{rest}")
-            m = Measurement(parts[3], float(t), value, ids, when, covariance=R)
+            known = None if np.isnan(arrival) else float(arrival)
+            P = arrays.get(f"{parts[0]}.cov.{rest}")
+            m = Measurement(parts[3], float(t), value, ids, known, covariance=P)
             measurements.setdefault(int(parts[0]), {})[int(parts[2])] = m
         elif len(parts) > 2 and parts[1] == "u":
             name = key.split(".", 2)[2]

@@ -13,6 +13,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement, Stamps
 from relnav_graph.core.state import Block, Layout
+from relnav_graph.maths.instants import Instant
 
 __all__ = [
     "Innovations",
@@ -243,7 +244,8 @@ class Truth:
 class Recording:
     """Measurements, inputs and, where known, truth.
 
-    times: epochs to estimate at, s (N,); every measurement falls on one of them.
+    times: epochs to estimate at, s (N,); every measurement falls on one of them. Inertial axes are
+    those of GCRF, see `epoch` for when t = 0 is.
     settings: values that the data bring for the scenario (camera constants, points), as
     nested tables; a value written in the scenario wins over them.
     """
@@ -258,6 +260,14 @@ class Recording:
     def misassociated(self) -> frozenset[tuple[str, float, int]]:
         """Sensor, time (s) and id of the simulated observations that are another point's."""
         return frozenset((m.sensor, m.t, i) for m in self.measurements for i in m.wrong)
+
+    @property
+    def epoch(self) -> Instant | None:
+        """The absolute time of a stamp of 0, where the data know it. Raises InputError on settings
+        that say something else there."""
+        time = self.settings.get("time")
+        text = time.get("epoch") if isinstance(time, Mapping) else None
+        return None if text is None else Instant.parse(str(text))
 
     def shifted(self, by: float) -> Recording:
         """The same with `by`, s, added to every time."""

@@ -27,7 +27,6 @@ a data set may name no module ("module:Class"), which is code, unless it is trus
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
@@ -38,7 +37,6 @@ import tomli_w
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
-from relnav_graph.constants import VERSION
 from relnav_graph.core.contracts import CopiesBlocks, Sensor
 from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.manoeuvres import THRUST_COLUMNS
@@ -47,7 +45,7 @@ from relnav_graph.core.numbered import families, number_in
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.files import check_name, file_in, read_file
+from relnav_graph.files import check_name
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.closures import (
     by_keyframe,
@@ -55,6 +53,7 @@ from relnav_graph.io.closures import (
     keyframes_in,
     of_closures,
 )
+from relnav_graph.io.dataset_file import is_ours, read_manifest, write_manifest
 from relnav_graph.io.manoeuvres import read_manoeuvres
 from relnav_graph.io.maps import family_table
 from relnav_graph.io.sensor_tables import measurements_in, sensor_columns
@@ -81,7 +80,6 @@ __all__ = [
 
 Columns = Mapping[str, NDArray[Any]]
 
-_FORMAT = 1
 #: Characters of a table's name: that of a block or sensor, and what it is of.
 _LONGEST = 200
 
@@ -116,38 +114,6 @@ def _input(folder: Path, name: str, channels: tuple[str, ...], sort: bool) -> In
     return InputSeries(name, t_start, t_end, table.stack(channels), None, *where)
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def _manifest(folder: Path) -> dict[str, Any]:
-    """``dataset.toml``, after a check of all that it lists; {} when there is none."""
-    path = folder / "dataset.toml"
-    if not path.exists():
-        return {}
-    manifest = read_toml(path, of_data=True)
-    if manifest.get("format") != _FORMAT:
-        raise InputError(f"{path}: found format {manifest.get('format')!r}, expected {_FORMAT}")
-    settings, digests = manifest.get("settings", {}), manifest.get("sha256")
-    if not isinstance(digests, dict) or not isinstance(settings, dict):
-        raise InputError(f"{path}: expected tables [settings] and [sha256]")
-    for key, found in {"truth_source": manifest.get("truth_source", ""), **digests}.items():
-        if not isinstance(found, str):
-            raise InputError(f"{path}: {key}: found {found!r}, expected text")
-    if digests.pop("settings", None) != _digest(tomli_w.dumps(settings).encode()):
-        raise InputError(f"{path}: [settings] changed since it was written")
-    for name, digest in digests.items():
-        file = file_in(folder, name)
-        if not file.exists():
-            raise InputError(f"{file}: missing, though dataset.toml lists it")
-        if _digest(read_file(file)) != digest:
-            raise InputError(
-                f"{file}: truncated or changed since it was written; if on purpose,"
-                " take its line out of dataset.toml"
-            )
-    return manifest
-
-
 def read_scenario_of(folder: str | os.PathLike[str], trust: bool = False) -> dict[str, Any]:
     """The scenario of a data set, as tables. trust: it may name modules, which are code.
 
@@ -166,7 +132,7 @@ def read_settings_of(
     """Settings that a data set brings, {} when none: those of its manifest and, for the tables of a
     scenario, the keyframes of its loop closures. Raises InputError on a damaged one."""
     folder = Path(folder)
-    settings: dict[str, Any] = _manifest(folder).get("settings", {})
+    settings: dict[str, Any] = read_manifest(folder).get("settings", {})
     keyframes = keyframes_in(folder, scenario or {})
     return joined(settings, {"sensors": keyframes}) if keyframes else settings
 
@@ -205,6 +171,7 @@ def read_dataset(
     late: Container[str] = (),
     sort: bool = False,
     gap: float | None = None,
+    partial: bool = False,
 ) -> Recording:
     """The recording in a folder: tables of the sensors and inputs, truth of `blocks`.
 
@@ -212,7 +179,8 @@ def read_dataset(
     which of the blocks are static, see `relnav_graph.io.truth.read_truth`; origin: what stamps say
     at t = 0 of the clock of the sensors' keyframes, s; late: sensors whose stamps are not those of
     epochs, since they lag; sort: put rows that are out of order of time in order; gap: s,
-    see `relnav_graph.io.truth.read_truth`.
+    see `relnav_graph.io.truth.read_truth`; partial: what has no table is elsewhere, and so are the
+    epochs.
 
     Other tables are left alone. Observations of one sensor at one time make one
     measurement. Raises InputError, naming file, line, column, what was found and what was
@@ -224,7 +192,13 @@ def read_dataset(
         raise InputError(f"{folder}: no such folder")
     for name in (*sensors, *inputs):
         check_name("a table", name, _LONGEST)
-    manifest = _manifest(folder)
+    manifest = read_manifest(folder)
+    if partial:
+        here = {p.stem for p in folder.iterdir() if p.suffix in (".csv", ".parquet")}
+        sensors = {
+            n: s for own in grouped(sensors).items() if own[0] in here for n, s in own[1].items()
+        }
+        inputs = {n: columns for n, columns in inputs.items() if n in here}
     tables = {name: _need_table(folder, name) for name in grouped(sensors)}
     measurements = list[Measurement]()
     for name, own in grouped(sensors).items():
@@ -235,7 +209,8 @@ def read_dataset(
         ]
     measurements.sort(key=lambda m: m.t)
     on_time = [table for name, table in tables.items() if name not in late]
-    times = _epochs(folder, on_time, measurements, merge)
+    alone = partial and not measurements and read_table(folder, "epochs") is None
+    times = np.zeros(0) if alone else _epochs(folder, on_time, measurements, merge)
     series = {name: _input(folder, name, columns, sort) for name, columns in inputs.items()}
     source = manifest.get("truth_source", "")
     truth = read_truth(folder, blocks, times, source, statics, families(sensors), gap, sort)
@@ -269,8 +244,8 @@ def _tables(
     tables: list[tuple[str, Columns]] = [("epochs", {"t_s": recording.times})]
     for name in (*sensors, *recording.inputs):
         check_name("a table", name, _LONGEST)
-    for name, own in grouped(sensors).items():
-        tables.append((name, sensor_columns(name, own, recording.measurements, origin)))
+    measured = recording.measurements
+    tables += [(n, sensor_columns(n, s, measured, origin)) for n, s in grouped(sensors).items()]
     for name, series in recording.inputs.items():
         if name not in inputs:
             raise InputError(f"unknown input {name!r}; known are {', '.join(inputs)}")
@@ -298,27 +273,14 @@ def _tables(
             rows = family_table(truth.t[:1], tuple(known.values()), values, P)
             tables.append((f"truth_{family}", rows))
     names = [name for name, _ in tables]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{name!r} cannot name a table: taken twice")
+    for name in (n for n in names if names.count(n) > 1):
+        raise InputError(f"{name!r} cannot name a table: taken twice")
     return dict(tables)
-
-
-def _is_dataset(folder: Path) -> bool:
-    """Whether all that a folder holds was written by :func:`write_dataset`."""
-    path = folder / "dataset.toml"
-    if not path.is_file():
-        return False
-    manifest = read_toml(path, of_data=True)
-    listed = manifest.get("sha256")
-    if manifest.get("format") != _FORMAT or not isinstance(listed, dict):
-        return False
-    return all(p.name in {"dataset.toml", "scenario.toml", *listed} for p in folder.iterdir())
 
 
 def write_dataset(
     folder: str | os.PathLike[str],
-    scenario: Mapping[str, Any],
+    scenario: Mapping[str, Any] | None,
     recording: Recording,
     sensors: Mapping[str, Sensor],
     inputs: Mapping[str, tuple[str, ...]],
@@ -326,7 +288,8 @@ def write_dataset(
     tables: Format = "csv",
     origin: float = 0.0,
 ) -> None:
-    """Write a recording and its scenario as a data set; reading gives the same numbers.
+    """Write a recording and its scenario as a data set; reading gives the same numbers. Without a
+    scenario it is a folder for the reader "tables".
 
     blocks: definitions of the blocks of the truth; a true quantity without one is left out,
     since its units are not known. tables: format of the tables; origin: see `read_dataset`. A data
@@ -334,23 +297,14 @@ def write_dataset(
     nothing can be written, or when the recording has a sensor or an input that is not known.
     """
     folder = Path(folder)
-    if folder.is_dir() and any(folder.iterdir()) and not _is_dataset(folder):
+    if folder.is_dir() and any(folder.iterdir()) and not is_ours(folder):
         raise InputError(f"{folder}: holds files that are not of a data set; name another folder")
     contents = _tables(recording, sensors, inputs, blocks, origin)
-    settings = dict(recording.settings)
+    source = recording.truth.source if recording.truth else ""
     with atomic(folder) as staged:
         staged.mkdir()
-        digests = {"settings": _digest(tomli_w.dumps(settings).encode())}
         for name, columns in contents.items():
-            path = staged / f"{name}.{tables}"
-            write_table(path, columns)
-            digests[path.name] = _digest(path.read_bytes())
-        manifest = {
-            "format": _FORMAT,
-            "writer": f"relnav-graph {VERSION}",
-            "truth_source": recording.truth.source if recording.truth else "",
-            "settings": settings,
-            "sha256": digests,
-        }
-        (staged / "scenario.toml").write_text(tomli_w.dumps(scenario), "utf-8")
-        (staged / "dataset.toml").write_text(tomli_w.dumps(manifest), "utf-8")
+            write_table(staged / f"{name}.{tables}", columns)
+        write_manifest(staged, dict(recording.settings), source)
+        if scenario is not None:
+            (staged / "scenario.toml").write_text(tomli_w.dumps(scenario), "utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,17 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
 
-__all__ = ["DAY", "SAME", "Orbit", "check_state", "in_common", "in_order", "part_of", "roles"]
+__all__ = [
+    "DAY",
+    "SAME",
+    "Orbit",
+    "check_state",
+    "check_states",
+    "in_common",
+    "in_order",
+    "part_of",
+    "roles",
+]
 
 DAY = 86400.0
 #: Stamps of both files closer than that, s, are the same.
@@ -51,6 +62,16 @@ def check_state(where: str, state: list[float], hints: tuple[str, str] = ("km", 
                 f"{where}: found a {what} of {length:.6g} {unit}, expected one of an orbit about"
                 f" the Earth, {low:g} to {high:g} {unit} ({hint} given?)"
             )
+
+
+def check_states(
+    where: Callable[[int], str], state: Array, hints: tuple[str, str] = ("km", "km/s")
+) -> None:
+    """As `check_state`, of states (N, 6), m and m/s. where: file and line of row k."""
+    for part, (low, high) in ((state[:, :3], _PLACES), (state[:, 3:], _SPEEDS)):
+        length = np.linalg.norm(part, axis=1)
+        for k in np.flatnonzero(~((low < length) & (length < high))).tolist():
+            check_state(where(k), state[k].tolist(), hints)
 
 
 def in_order(path: Path, numbers: list[int], t: Array) -> None:

@@ -13,7 +13,8 @@ from relnav_graph.core.contracts import Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
 from relnav_graph.io.closures import earlier_times
-from relnav_graph.io.noise_columns import covariance_columns, noise_in, noise_names
+from relnav_graph.io.covariances import of_measurements
+from relnav_graph.io.noise_columns import noise_in, noise_names
 from relnav_graph.io.tabular import Table
 
 __all__ = ["measurements_in", "sensor_columns"]
@@ -93,4 +94,4 @@ def sensor_columns(
     if any(m.t_arrival is not None for m in own):
         arrival = [m.t if m.t_arrival is None else m.t_arrival for m in own]
         columns["t_arrival_s"] = np.repeat(arrival, counts)
-    return columns | covariance_columns([m.covariance for m in own], counts)
+    return columns | of_measurements(name, own, sensor.rows)

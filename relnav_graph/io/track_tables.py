@@ -15,12 +15,20 @@ from relnav_graph.errors import InputError
 from relnav_graph.files import file_in
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.maps import family_table
-from relnav_graph.io.tabular import component_columns, tangent_columns, to_components, write_table
+from relnav_graph.io.tabular import (
+    Format,
+    component_columns,
+    tangent_columns,
+    to_components,
+    write_table,
+)
 
 __all__ = ["write_csv"]
 
 
-def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
+def write_csv(
+    folder: str | os.PathLike[str], tracks: Sequence[Track], tables: Format = "csv"
+) -> None:
     """One table per track, and per smoothed track: time, components, sigmas; SI and rad.
 
     Attitudes are quaternions, their sigmas rotation angles about the axes on the right of
@@ -29,13 +37,13 @@ def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
     ones a table ``NAME_FAMILY`` with a row for each, by its id. Raises InputError
     when a file cannot be written, or would lie elsewhere, or when two would bear one name.
     """
-    tables: dict[str, dict[str, Array]] = {}
+    found: dict[str, dict[str, Array]] = {}
     for track in tracks:
-        _add(tables, track.name, track)
+        _add(found, track.name, track)
         if track.smoothed is not None:
-            _add(tables, f"{track.name}_smoothed", track.smoothed)
-    files = {name: file_in(folder, f"{name}.csv") for name in tables}
-    for name, columns in tables.items():
+            _add(found, f"{track.name}_smoothed", track.smoothed)
+    files = {name: file_in(folder, f"{name}.{tables}") for name in found}
+    for name, columns in found.items():
         with atomic(files[name]) as staged:
             write_table(staged, columns)
 

@@ -21,7 +21,7 @@ from relnav_graph.io.tabular import (
     sigma_columns,
 )
 
-__all__ = ["between", "read_truth"]
+__all__ = ["at_epochs", "between", "read_truth"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -113,10 +113,11 @@ def _missed(block: Block, t: Array, values: Array) -> str:
     return f" (left out, its own rows would be missed by {missed:.2g} {block.table_unit})"
 
 
-def _at_epochs(
-    table: Table, block: Block, t: Array, values: Array, epochs: Array, gap: float | None
+def at_epochs(
+    where: str, block: Block, t: Array, values: Array, epochs: Array, gap: float | None = None
 ) -> Array:
-    """Values at `epochs` (M,), s: of the row of that time, or between rows; says what is not."""
+    """Values at `epochs` (M,), s, of rows at t (N,), s: (N, ...) gives (M, ...): of the row of that
+    time, or between rows (`between`), NaN elsewhere. Says what is not of a row, as of `where`."""
     rows, same = Truth(t, {}).at(epochs)
     found = between(block, t, values, epochs, gap)
     made = np.isfinite(found.reshape(len(epochs), -1)).all(axis=1) & ~same
@@ -125,13 +126,13 @@ def _at_epochs(
     if not (same | made).any():
         span = f", t = {t[0]:.9g} to {t[-1]:.9g} s," if len(t) else ""
         _LOG.warning(
-            f"{table.path}: none of its {len(t)} rows{span} is at an epoch or about one, t ="
+            f"{where}: none of its {len(t)} rows{span} is at an epoch or about one, t ="
             f" {epochs[0]:.9g} to {epochs[-1]:.9g} s: it scores nothing"
         )
     elif not same.all():
         unknown = int((~(same | made)).sum())
         _LOG.info(
-            f"{table.path}: of {len(epochs)} epochs {int(made.sum())} are between its rows and"
+            f"{where}: of {len(epochs)} epochs {int(made.sum())} are between its rows and"
             f" interpolated{_missed(block, t, values)}, {unknown} are outside or in gaps"
         )
     return found
@@ -187,7 +188,8 @@ def read_truth(
             values[name] = at_all_times(known[0], len(times))
             continue
         values[name] = np.full((len(times), *known.shape[1:]), np.nan)
-        values[name][at] = _at_epochs(table, blocks[name], table["t_s"], known, epochs, gap)
+        where = str(table.path)
+        values[name][at] = at_epochs(where, blocks[name], table["t_s"], known, epochs, gap)
         values[name][np.searchsorted(times, table["t_s"])] = known
     values |= {name: at_all_times(X, len(times)) for name, X in maps.items()}
     tiled = {n: S if S.ndim > 1 else at_all_times(S, len(times)) for n, S in sigmas.items()}

@@ -76,7 +76,7 @@ class EarthTable:
     def _seconds(self, begin: Instant) -> Array:
         """The days (N,) in seconds since an instant."""
         first = int(self.mjd[0])
-        since = Instant(first, 0.0).since(begin)
+        since = Instant.of(first, 0.0, "TT").since(begin)
         return (self.mjd - first) * DAY + self._tai_utc() + TT_TAI + since
 
     def at(self, begin: Instant, t: Array) -> tuple[Array, Array, Array]:

@@ -1,7 +1,8 @@
-"""Absolute time: days and seconds of Terrestrial Time, from and to other time scales.
+"""Absolute time: whole nanoseconds of TAI, from and to other time scales.
 
 TT = TAI + 32.184 s; GPS = TAI - 19 s; UTC = TAI - leap seconds, from 1972 on; TDB is within 2 ms of
-TT (Fairhead and Bretagnon 1990, as in ERFA). Leap seconds: the table of pyerfa.
+TT (Fairhead and Bretagnon 1990, as in ERFA). Leap seconds: the table of pyerfa, which says itself
+that it expired years ago; `REVIEWED` is up to when it was compared with the IERS's bulletins.
 """
 
 from __future__ import annotations
@@ -9,25 +10,35 @@ from __future__ import annotations
 import logging
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from functools import cache
+from typing import Any
 
 import erfa
+import numpy as np
+from numpy.typing import NDArray
 
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 
-__all__ = ["SCALES", "Instant"]
+__all__ = ["REVIEWED", "SCALES", "Instant", "calendar", "moved", "since_first"]
 
 _LOG = logging.getLogger(__name__)
 SCALES = ("TT", "TAI", "UTC", "GPS", "TDB")
 EXAMPLE = '"2021-07-17T00:00:00 TT"'
 DAY = 86400.0
+#: Nanoseconds of a second and of a day.
+NS = 10**9
+DAY_NS = 86400 * NS
 #: TT - TAI and TAI - GPS, s.
 TT_TAI, TAI_GPS = 32.184, 19.0
-_FORM = re.compile(
-    r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d*)?)(?:\s*([A-Za-z]\w*))?", re.ASCII
-)
+#: What is added to each scale for TAI, ns.
+_TO_TAI = {"TT": -32184000000, "TAI": 0, "GPS": 19 * NS}
+#: A date as year-month-day or year-day of the year, and a time of day.
+_FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3}))[T ](\d\d):(\d\d):(\d\d)(?:\.(\d*))?Z?", re.ASCII)
+_SCALED = re.compile(r"(.*?)(?:\s*([A-Za-z]\w*))?", re.ASCII)
 #: `date.toordinal` of the modified Julian day 0, 1858-11-17.
 _ORDINAL = 678576
 #: Up to this day no leap second has been added that the table lacks: as announced (IERS
@@ -45,64 +56,121 @@ def _leaps() -> tuple[tuple[int, int], ...]:
 
 
 @cache
-def _told(day: int) -> None:
-    """Say once of a day that leap seconds may be missing."""
-    last = date.fromordinal(_leaps()[-1][0] + _ORDINAL)
-    if day + _ORDINAL > max(REVIEWED, last).toordinal():
-        _LOG.warning(
-            "leap seconds are known until %s; on %s UTC counts as TAI - %d s",
-            *(max(REVIEWED, last), date.fromordinal(day + _ORDINAL), _leaps()[-1][1]),
-        )
-
-
 def leap_seconds(day: int) -> int:
-    """TAI - UTC, s, on a modified Julian day of UTC. Raises InputError before 1972."""
+    """TAI - UTC, s, on a modified Julian day of UTC; says once of a day that leap seconds may be
+    missing. Raises InputError before 1972."""
     found = [seconds for start, seconds in _leaps() if start <= day]
     if not found:
         raise InputError(
             f"found a time in UTC on {_written(day)}, expected one from 1972 on, when UTC began to"
             " differ from TAI by whole seconds"
         )
-    _told(day)
+    last = max(REVIEWED, date.fromordinal(_leaps()[-1][0] + _ORDINAL))
+    if day + _ORDINAL > last.toordinal():
+        _LOG.warning(
+            "leap seconds are known until %s; on %s UTC counts as TAI - %d s",
+            *(last, _written(day), found[-1]),
+        )
     return found[-1]
 
 
+@cache
 def _written(day: int) -> str:
     ordinal = day + _ORDINAL
     return date.fromordinal(ordinal).isoformat() if 0 < ordinal < 3652060 else f"MJD {day}"
 
 
-@dataclass(frozen=True)
-class Instant:
-    """An absolute time: day, the modified Julian day of TT, and seconds of it, 0 to 86400.
+@cache
+def _day(text: str) -> int:
+    """The modified Julian day of a date, "2021-07-17" or "2021-198"."""
+    if len(text) == 10:
+        return date.fromisoformat(text).toordinal() - _ORDINAL
+    year, of_year = int(text[:4]), int(text[5:])
+    first = date(year, 1, 1).toordinal()
+    if not 0 < of_year <= date(year, 12, 31).toordinal() - first + 1:
+        raise ValueError(f"day {of_year} is not in the year {year}")
+    return first - _ORDINAL + of_year - 1
 
-    Raises InputError on numbers that are not finite.
+
+def calendar(text: str, scale: str) -> int:
+    """Nanoseconds of TAI since 1858-11-17 of a date and time in a scale, one of `SCALES`: as
+    "2021-07-17T00:00:00.5" or "2021-198T00:00:00.5Z"; what is finer than that is rounded.
+
+    Raises InputError on another form, on a day or a time of day that does not exist (a second 60
+    does where it is a leap second of UTC), on another scale, on UTC before 1972.
     """
+    match = _FORM.fullmatch(text)
+    if match is None:
+        raise InputError(f"found {text!r}, expected a date and a time as 2021-07-17T00:00:00.5")
+    try:
+        day = _day(match[1])
+    except ValueError as error:
+        raise InputError(f"found {text!r}: {error}") from error
+    hour, minute, second = int(match[2]), int(match[3]), int(match[4])
+    if not (hour < 24 and minute < 60 and second < 60) and not (
+        (hour, minute, second, scale) == (23, 59, 60, "UTC")
+        and leap_seconds(day + 1) > leap_seconds(day)
+    ):
+        raise InputError(f"found {text!r}: there is no such time on that day")
+    fraction, ns = match[5] or "", (3600 * hour + 60 * minute + second) * NS
+    if fraction:
+        digits = int(fraction)
+        ns += digits * 10 ** (9 - len(fraction)) if len(fraction) < 10 else _rounded(fraction)
+    return _tai(day, ns, scale)
 
-    day: int
-    seconds: float
 
-    def __post_init__(self) -> None:
-        if not math.isfinite(self.seconds):
-            raise InputError(f"found {self.seconds} seconds of a day, expected a finite number")
-        whole = math.floor(self.seconds / DAY)
-        object.__setattr__(self, "day", int(self.day) + whole)
-        object.__setattr__(self, "seconds", float(self.seconds) - whole * DAY)
+def _rounded(fraction: str) -> int:
+    """Digits of a fraction of a second as whole nanoseconds."""
+    unit: int = 10 ** (len(fraction) - 9)
+    return (int(fraction) + unit // 2) // unit
+
+
+def _tai(day: int, ns: int, scale: str) -> int:
+    """Nanoseconds of TAI of a modified Julian day and nanoseconds of it in a scale."""
+    own = day * DAY_NS + ns
+    if scale in _TO_TAI:
+        return own + _TO_TAI[scale]
+    if scale == "UTC":
+        return own + leap_seconds(day) * NS
+    if scale == "TDB":
+        return own + _TO_TAI["TT"] - _tdb_ahead(own)
+    raise InputError(f"found the time scale {scale!r}, expected one of {', '.join(SCALES)}")
+
+
+def _tdb_ahead(ns: int) -> int:
+    """TDB - TT, ns, at a time (ns since day 0) of either: they differ too little for more."""
+    day, of_day = divmod(ns, DAY_NS)
+    at = of_day / DAY_NS
+    return round(float(erfa.dtdb(2400000.5, day + at, at, 0.0, 0.0, 0.0)) * NS)
+
+
+def since_first(ns: Sequence[int]) -> Array:
+    """Seconds (N,) since the first of whole nanoseconds, each the double nearest to it."""
+    return np.array([n - ns[0] for n in ns], dtype=np.int64) / NS
+
+
+def moved(t: Any, by: int) -> Any:
+    """Times t, s, whole nanoseconds nearest to them, moved by whole nanoseconds: so that one
+    instant has one number, from whichever epoch it was counted."""
+    seconds = np.floor(np.asarray(t, dtype=np.float64))
+    rest: NDArray[np.int64] = np.rint((t - seconds) * NS).astype(np.int64)  # of t itself: it rounds
+    return (seconds.astype(np.int64) * NS + rest + by) / NS
+
+
+@dataclass(frozen=True, order=True)
+class Instant:
+    """An absolute time: tai, whole nanoseconds of TAI since 1858-11-17."""
+
+    tai: int
 
     @staticmethod
     def of(day: int, seconds: float, scale: str) -> Instant:
-        """From a modified Julian day and seconds of it in a time scale, one of `SCALES`.
+        """From a modified Julian day and seconds of it in a time scale, one of `SCALES`, to the
+        nearest nanosecond.
 
-        Raises InputError on another scale, and on UTC before 1972.
+        Raises InputError on another scale, on UTC before 1972, on numbers that are not finite.
         """
-        if scale not in SCALES:
-            raise InputError(f"found the time scale {scale!r}, expected one of {', '.join(SCALES)}")
-        if scale == "UTC":
-            return Instant(day, seconds + leap_seconds(day) + TT_TAI)
-        if scale == "TDB":
-            ahead = erfa.dtdb(2400000.5, day + seconds / DAY, seconds / DAY % 1.0, 0.0, 0.0, 0.0)
-            return Instant(day, seconds - float(ahead))
-        return Instant(day, seconds + {"TT": 0.0, "TAI": TT_TAI, "GPS": TAI_GPS + TT_TAI}[scale])
+        return Instant(_tai(int(day), _ns(seconds), scale))
 
     @staticmethod
     def parse(text: str) -> Instant:
@@ -110,53 +178,78 @@ class Instant:
 
         Raises InputError on another form, on a day or a time of day that does not exist.
         """
-        match = _FORM.fullmatch(text.strip())
-        if match is None:
+        match = _SCALED.fullmatch(text.strip())
+        if match is None or _FORM.fullmatch(match[1]) is None:
             raise InputError(f"found {text!r}, expected a date, a time and a scale as {EXAMPLE}")
-        *numbers, scale = match.groups()
-        if scale is None:
+        if match[2] is None or match[2] == "Z":
             raise InputError(
                 f"found {text!r} without a time scale, expected one of {', '.join(SCALES)} after"
                 f" it, as {EXAMPLE}"
             )
-        year, month, of_month, hour, minute = (int(n) for n in numbers[:5])
-        second = float(numbers[5])
         try:
-            day = date(year, month, of_month).toordinal() - _ORDINAL
-        except ValueError as error:
-            raise InputError(f"found {text!r}: {error}") from error
-        last = 60.0
-        if scale == "UTC" and (hour, minute) == (23, 59):
-            last += leap_seconds(day + 1) - leap_seconds(day)
-        if not (hour < 24 and minute < 60 and second < last):
-            raise InputError(f"found {text!r}: there is no such time on that day")
-        try:
-            return Instant.of(day, 3600.0 * hour + 60.0 * minute + second, scale)
+            return Instant(calendar(match[1], match[2]))
         except InputError as error:
-            raise InputError(f"{text!r}: {error}") from error
+            raise InputError(str(error).replace(repr(match[1]), repr(text))) from error
 
     def after(self, t: float) -> Instant:
-        """The instant t seconds later."""
-        return Instant(self.day, self.seconds + t)
+        """The instant t seconds later, to the nearest nanosecond."""
+        return Instant(self.tai + _ns(t))
 
     def since(self, other: Instant) -> float:
         """Seconds from another instant to this one."""
-        return (self.day - other.day) * DAY + (self.seconds - other.seconds)
+        return self.ns_since(other) / NS
+
+    def ns_since(self, other: Instant) -> int:
+        """Nanoseconds from another instant to this one."""
+        return self.tai - other.tai
+
+    @property
+    def day(self) -> int:
+        """The modified Julian day of TT."""
+        return self.in_scale("TT")[0]
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of the day of TT."""
+        return self.in_scale("TT")[1] / NS
 
     @property
     def tai_utc(self) -> int:
         """TAI - UTC, s, here. Raises InputError before 1972."""
-        in_tai = self.after(-TT_TAI)
-        found = [s for start, s in _leaps() if Instant(start, s).since(in_tai) <= 0]
-        if not found:
-            return leap_seconds(self.day)  # which says why there is none
-        _told(self.day)
-        return found[-1]
+        return leap_seconds(self.in_scale("UTC")[0])
+
+    def in_scale(self, scale: str) -> tuple[int, int]:
+        """The modified Julian day in a scale, and nanoseconds of it: in a leap second of UTC those
+        of a day and more. Raises InputError on another scale, and on UTC before 1972."""
+        if scale == "UTC":
+            day = (self.tai - leap_seconds(self.tai // DAY_NS) * NS) // DAY_NS
+            while _tai(day + 1, 0, scale) <= self.tai:
+                day += 1
+            while _tai(day, 0, scale) > self.tai:
+                day -= 1
+            return day, self.tai - _tai(day, 0, scale)
+        if scale == "TDB":
+            tt = self.tai - _TO_TAI["TT"]
+            return divmod(tt + _tdb_ahead(tt), DAY_NS)
+        return divmod(self.tai - (_tai(0, 0, scale)), DAY_NS)
+
+    def calendar(self, scale: str) -> str:
+        """As `calendar` reads it, without the scale: "2021-07-17T00:00:00.5"."""
+        day, ns = self.in_scale(scale)
+        second, ns = divmod(ns, NS)
+        minute = min(second // 60, 1439)  # a leap second is the 61st of the last minute
+        fraction = f".{ns:09d}".rstrip("0").rstrip(".")
+        clock = f"{minute // 60:02d}:{minute % 60:02d}:{second - 60 * minute:02d}"
+        return f"{_written(day)}T{clock}{fraction}"
 
     def __str__(self) -> str:
         """As `parse` reads it, in TT."""
-        micro = round(self.seconds * 1e6)
-        day, micro = self.day + micro // 86400000000, micro % 86400000000
-        minutes, micro = divmod(micro, 60000000)
-        seconds = f"{micro / 1e6:09.6f}".rstrip("0").rstrip(".")
-        return f"{_written(day)}T{minutes // 60:02d}:{minutes % 60:02d}:{seconds} TT"
+        return f"{self.calendar('TT')} TT"
+
+
+def _ns(seconds: float) -> int:
+    """Whole nanoseconds nearest to seconds. Raises InputError on a number that is not finite."""
+    if not math.isfinite(seconds):
+        raise InputError(f"found {seconds} seconds, expected a finite number")
+    whole = math.floor(seconds)
+    return whole * NS + round((seconds - whole) * NS)

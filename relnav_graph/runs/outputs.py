@@ -41,6 +41,9 @@ def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "")
         "time_origin": f"{opened.scenario.file.time.origin!r} s",
         "cautions": cautions_out(found.problems[0].cautions),
     }
+    if opened.scenario.file.time.epoch is not None:
+        attributes["time_epoch"] = opened.scenario.file.time.epoch
+        attributes["o"] = "i" if opened.scenario.file.orbit is None else "RTN"
     seen = sights(found)
     if seen:
         attributes["times_seen"] = json.dumps(seen)

@@ -8,15 +8,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from relnav_graph.core.copies import with_true_copies
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.dataset import read_dataset, read_scenario_of, read_settings_of
-from relnav_graph.io.readers import read_raw
+from relnav_graph.io.known import Known
+from relnav_graph.io.parts import data_problems, need_known, read_data
+from relnav_graph.maths.instants import Instant
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
+from relnav_graph.scenario.schema import ScenarioError, from_pydantic
 from relnav_graph.scenario.settings import DataSettings
+from relnav_graph.scenario.time_settings import TimeSettings
 from relnav_graph.scenario.toml import override, read_toml
 
 __all__ = ["Pass", "is_dataset", "open_dataset", "open_pass", "recorded_pass", "simulated_pass"]
@@ -78,7 +84,18 @@ def open_dataset(folder: Path, assignments: Sequence[str] = (), trust: bool = Fa
     """
     _need_folder(folder)
     raw = override(read_scenario_of(folder, trust), assignments)
-    scenario = make_scenario(raw, folder.resolve().name, read_settings_of(folder, raw), trust)
+    name, data = folder.resolve().name, raw.get("data")
+    parts = isinstance(data, dict) and "parts" in data
+
+    def made(settings: Mapping[str, Any] | None) -> Scenario:
+        return make_scenario(raw, name, settings, trust)
+
+    if parts and not (folder / "dataset.toml").exists():  # files of others, as they came
+        recording = _read_folder(name, raw, folder, made)
+        scenario = made(recording.settings)
+        seed = scenario.file.seed
+        return Pass(scenario, scenario.completed(recording, seed), seed, False)
+    scenario = made(read_settings_of(folder, raw))
     return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
 
 
@@ -123,13 +140,13 @@ def recorded_pass(
     if isinstance(data, Recording):
         return made(data.settings), data
     folder = Path(data)
-    _need_folder(folder)
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder")
     if is_dataset(folder):
         own = made(read_settings_of(folder, raw))
         return own, _recorded(own, folder)
-    recording = _read_folder(where, raw, folder)
-    own = made(recording.settings)
-    return own, recording.shifted(-own.file.time.origin)
+    recording = _read_folder(where, raw, folder, made)
+    return made(recording.settings), recording
 
 
 def _tables_of(
@@ -149,14 +166,49 @@ def _tables_of(
     return known.name if known else str(path), raw, made
 
 
-def _read_folder(where: str, raw: Mapping[str, Any], folder: Path) -> Recording:
-    """What the reader that a scenario names makes of a raw folder."""
-    settings = raw.get("data")
-    if not isinstance(settings, dict) or "reader" not in settings:
+def _read_folder(
+    where: str,
+    raw: Mapping[str, Any],
+    folder: Path,
+    made: Callable[[Mapping[str, Any] | None], Scenario],
+) -> Recording:
+    """What the readers that a scenario names make of raw data, in the clock of the pass.
+
+    made: makes the scenario, of the settings of the data or before they are known.
+    """
+    data = raw.get("data")
+    if not isinstance(data, dict) or not ("reader" in data or "parts" in data):
         raise InputError(
             f"{folder}: no scenario.toml in it, and {where} names no [data] reader for raw folders"
         )
-    return read_raw(str(settings["reader"]), folder, settings.get("options", {}))
+    try:
+        DataSettings.model_validate(data)
+    except ValidationError as error:
+        raise ScenarioError(where, from_pydantic("data", error)) from error
+    if problems := data_problems(data):
+        raise ScenarioError(where, problems)
+    time = raw.get("time", {})
+    try:
+        told = TimeSettings.model_validate(time)
+    except ValidationError as error:
+        raise ScenarioError(where, from_pydantic("time", error)) from error
+    known = _known(made(None)) if need_known(data) else Known(origin=told.origin)
+    epoch = None if told.epoch is None else Instant.parse(told.epoch)
+    return read_data(data, folder, known, epoch)
+
+
+def _known(scenario: Scenario) -> Known:
+    """What readers may know of a scenario."""
+    return Known(
+        scenario.sensors,
+        scenario.input_columns,
+        {b.name: b for b in scenario.layout},
+        {b.name for b in scenario.layout.statics},
+        scenario.file.orbit is not None,
+        scenario.file.time.tolerance,
+        scenario.file.time.origin,
+        {name for name, stamps in scenario.stamps.items() if stamps.lag},
+    )
 
 
 def _recorded(scenario: Scenario, folder: Path) -> Recording:
@@ -165,10 +217,10 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     blocks = {b.name: b for b in layout}
     models = scenario.sensors, scenario.input_columns
     late = [name for name, stamps in scenario.stamps.items() if stamps.lag]
-    rows = scenario.file.data or DataSettings()
+    data = scenario.file.data
     found = read_dataset(
         *(folder, *models, blocks, time.tolerance, layout.statics, time.origin, late),
-        *(rows.sort, rows.truth_gap),
+        *((data.sort, data.truth_gap) if data is not None else ()),
     ).shifted(-time.origin)
     if found.truth is None:
         return found

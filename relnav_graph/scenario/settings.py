@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, Field, model_validator
@@ -28,19 +29,47 @@ def _checked_bound(value: float | str) -> float | str:
 Bound = Annotated[float | str, AfterValidator(_checked_bound)]
 
 
-class DataSettings(BaseModel):
-    """Where recorded data come from: a reader of `relnav_graph.io.readers`; `simulate`: the
-    sensors that a raw folder lacks, simulated on its truth. Of a data set: `sort` puts rows in
-    order of time; between rows of truth that are further apart than `truth_gap` (by default 1.5
-    times the median step) nothing is interpolated."""
+class PartSettings(BaseModel):
+    """One part of recorded data: a reader with its options, and the file (or folder) in the folder
+    of the data that it reads; by default that folder."""
 
     model_config = STRICT
 
-    reader: str | None = None
+    reader: str
+    file: str = ""
     options: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _inside(self) -> PartSettings:
+        path = PurePath(self.file)
+        if path.is_absolute() or ".." in path.parts:
+            raise ValueError(f"found file {self.file!r}, expected one in the folder of the data")
+        return self
+
+
+class DataSettings(BaseModel):
+    """Where recorded data come from: a reader of `relnav_graph.io.readers`, or several, `parts` by
+    name, whose recordings become one (`relnav_graph.io.parts`); `simulate`: the sensors that raw
+    data lack, simulated on their truth. Of a data set: `sort` puts rows in order of time; between
+    rows of truth that are further apart than `truth_gap` (by default 1.5 times the median step)
+    nothing is interpolated."""
+
+    model_config = STRICT
+
+    reader: str = ""
+    options: dict[str, Any] = {}
+    parts: dict[str, PartSettings] = {}
     simulate: list[str] = []
     sort: bool = False
     truth_gap: Seconds | None = None
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> DataSettings:
+        told = bool(self.reader) + bool(self.parts) + (self.sort or self.truth_gap is not None)
+        if not told or (self.reader and self.parts) or (self.parts and self.options):
+            both = "both" if self.reader else "options beside parts" if self.parts else "neither"
+            raise ValueError(f"found {both}, expected a reader with its options, or parts")
+        return self
 
 
 class OutlierSettings(BaseModel):

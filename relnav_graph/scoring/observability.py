@@ -19,6 +19,7 @@ from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track
 from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.whitening import measurement_noise
 from relnav_graph.scoring.bounds import Bounds, bounds
 from relnav_graph.scoring.deviations import estimates
 from relnav_graph.scoring.directions import (
@@ -201,7 +202,7 @@ def _sensor_rows(problem: Problem) -> list[dict[str, Any]]:
             "epochs": len(seen),
         }
         if seen:
-            row["sigma"] = _sigmas(sensor.noise(seen[0]))
+            row["sigma"] = _sigmas(measurement_noise(name, sensor, seen[0]))
         out.append(row)
     return out
 

@@ -48,6 +48,7 @@ def _digest(recording: Recording) -> str:
     for m in recording.measurements:
         found.update(m.sensor.encode())
         arrays += [np.array([m.t]), m.z, m.ids.astype(np.float64)]
+        arrays += [] if m.covariance is None else [m.covariance]
     for array in arrays:
         found.update(str(array.shape).encode() + np.ascontiguousarray(array).tobytes())
     return found.hexdigest()

@@ -19,7 +19,9 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = {"relnav_graph": ROOT, "relnav_factors": ROOT / "factors"}
 #: Not rooms, but what Python and the tools want in a package.
 FURNITURE = {"__init__.py", "__main__.py", "__pycache__", "py.typed"}
-GROUPS = {"relnav_graph.models", "relnav_graph.estimators", "relnav_graph.truths"}
+GROUPS = {
+    f"relnav_graph.{name}" for name in ("models", "estimators", "truths", "readers", "writers")
+}
 
 
 def floors() -> list[set[str]]:

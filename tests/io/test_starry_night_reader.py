@@ -12,7 +12,7 @@ from scipy.io import loadmat, savemat
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
-from relnav_graph.io.readers import READERS, read_raw
+from relnav_graph.io.readers import read_raw, readers
 from relnav_graph.maths import so3
 
 FRAMES, POINTS = 40, 7
@@ -191,7 +191,7 @@ def test_a_wrong_variable_is_named(tmp_path: Path, fault: str) -> None:
 
 
 def test_wrong_folders_files_and_options(tmp_path: Path) -> None:
-    assert READERS["starry_night"] == "relnav_graph.io.readers.starry_night"
+    assert readers()["starry_night"] == "relnav_graph.io.readers.starry_night"
     with pytest.raises(InputError, match=r"'rosbag'; known are .*starry_night"):
         read_raw("rosbag", tmp_path)
     with pytest.raises(InputError, match="no such folder"):

@@ -16,7 +16,7 @@ from relnav_graph.maths.earth import (
     itrf_from_gcrf,
     read_finals,
 )
-from relnav_graph.maths.instants import Instant
+from relnav_graph.maths.instants import SCALES, Instant, moved
 
 
 def _line(mjd: float, xp: float, yp: float, ut1: float) -> str:
@@ -50,6 +50,38 @@ def test_a_leap_second_is_counted() -> None:
     assert leap.since(before) == pytest.approx(1.0)
     assert after.since(leap) == pytest.approx(1.0)
     assert (before.tai_utc, leap.tai_utc, after.tai_utc) == (36, 36, 37)
+
+
+def test_instants_are_whole_nanoseconds() -> None:
+    """Written and read in every scale without loss, also within a leap second."""
+    end = Instant.parse("2016-12-31T23:59:60.5 UTC")
+    assert Instant.parse("2017-01-01T00:00:00.5 UTC").ns_since(end) == 1_000_000_000
+    rng = np.random.default_rng(0)
+    for ns in [*rng.integers(0, 10**18, 50).tolist(), *range(-1_500_000_000, 10**9, 499_999_999)]:
+        one = Instant(end.tai + ns)
+        for scale in SCALES:
+            assert Instant.parse(f"{one.calendar(scale)} {scale}") == one, scale
+        assert Instant.parse(str(one)) == one
+        day, of_day = one.in_scale("GPS")
+        assert Instant(Instant.of(day, 0.0, "GPS").tai + of_day) == one
+    assert end.calendar("UTC") == "2016-12-31T23:59:60.5"
+    assert Instant.parse("2016-366T23:59:60.5Z UTC") == end
+    assert Instant.parse("2021-07-17T00:00:00.1234567894999 TAI").tai % 10**9 == 123456789
+    assert end.after(1e9 + 0.1).ns_since(end) == 10**18 + round((1e9 + 0.1 - 1e9) * 1e9)
+    with pytest.raises(InputError, match="day 366 is not in the year 2017"):
+        Instant.parse("2017-366T00:00:00 TT")
+    with pytest.raises(InputError, match="found nan seconds"):
+        end.after(float("nan"))
+
+
+def test_stamps_move_as_integers() -> None:
+    """One instant has one number, from whichever epoch it is counted; large stamps lose nothing."""
+    t = np.array([0.1, 0.2, 0.3, 1e5 + 0.7])
+    there = moved(t, 86_400_000_000_001)
+    np.testing.assert_array_equal(moved(there, -86_400_000_000_001), t)
+    unix = np.array([1626480000.25, 1626480000.5])
+    np.testing.assert_array_equal(moved(unix, -1626480000 * 10**9), [0.25, 0.5])
+    assert float(moved(0.1, 200_000_000)) == 0.3  # where 0.1 + 0.2 is not
 
 
 @pytest.mark.parametrize(

@@ -1,48 +1,93 @@
-"""Readers of raw data folders: each module of this package is one, found by its name.
+"""Readers of recorded data: each module of this package is one, found by its name, and so is each
+module of a package that the entry-point group ``relnav_graph.readers`` names.
 
-A reader is a function ``read(folder, **options) -> Recording``; it finds its files by
-pattern, so that a folder need not bear particular file names.
+A reader is a function ``read(path, **options) -> Recording`` in a module of its own. `path` is a
+folder, in which it finds its files by pattern; where the module says ``FILES = True``, it may be a
+file instead, and ``SUFFIXES = (".oem",)`` says how names of such files end. A parameter `known` is
+no option: it gets what the scenario knows, as `relnav_graph.io.known.Known`. Where the data know
+when t = 0 of the recording is, its `settings` say so, as ``{"time": {"epoch": str(instant)}}``.
 """
 
 from __future__ import annotations
 
 import importlib
-import inspect
 import os
-import pkgutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
+from relnav_graph.io.known import Known
+from relnav_graph.registry import find_function, module_by_suffix, modules, parameters
 
-__all__ = ["READERS", "read_raw"]
+__all__ = ["GROUP", "asks", "by_suffix", "options_wrong", "read_raw", "readers", "takes_files"]
 
-#: Module of each reader, by name; imported at the first use.
-READERS: Mapping[str, str] = {
-    module.name: f"{__name__}.{module.name}" for module in pkgutil.iter_modules(__path__)
-}
+GROUP = "relnav_graph.readers"
+#: The parameter of a reader that is not an option.
+_KNOWN = "known"
+
+
+def readers() -> Mapping[str, str]:
+    """Module of each reader, by name; imported at the first use."""
+    return modules(GROUP, __name__)
+
+
+def _module(name: str) -> str:
+    known = readers()
+    if name not in known:
+        raise InputError(f"unknown reader {name!r}; known are {', '.join(sorted(known))}")
+    return known[name]
+
+
+def takes_files(name: str) -> bool:
+    """Whether a reader takes a file, not only a folder. Raises InputError on an unknown one."""
+    return bool(getattr(importlib.import_module(_module(name)), "FILES", False))
+
+
+def by_suffix(path: Path) -> str | None:
+    """The reader of files whose name ends like that; None: there is none."""
+    return module_by_suffix(readers(), path)
+
+
+def asks(name: str) -> bool:
+    """Whether a reader asks for what the scenario knows. Raises InputError on an unknown one."""
+    return _KNOWN in parameters(find_function(_module(name), "read"), 1)
+
+
+def options_wrong(name: str, options: Any) -> str:
+    """What is wrong with options of a reader, or with its name; "": nothing."""
+    try:
+        read = find_function(_module(name), "read")
+    except InputError as error:
+        return str(error)
+    if not isinstance(options, Mapping):
+        return f"data.options: found {options!r}, expected a table"
+    names = [p for p in parameters(read, 1) if p != _KNOWN]
+    unknown = [key for key in options if key not in names]
+    return f"reader {name!r}: unknown option {unknown[0]!r}; known are {names}" if unknown else ""
 
 
 def read_raw(
-    name: str, folder: str | os.PathLike[str], options: Mapping[str, Any] | None = None
+    name: str,
+    path: str | os.PathLike[str],
+    options: Mapping[str, Any] | None = None,
+    known: Known | None = None,
 ) -> Recording:
-    """The recording that the reader `name` makes of a folder.
+    """The recording that the reader `name` makes of a folder or, if it takes one, of a file.
 
-    options: keyword arguments of the reader. Raises InputError on an unknown reader or
-    option, on a folder that does not exist, and on whatever the reader refuses.
+    options: keyword arguments of the reader; known: what the scenario knows, for a reader that
+    asks. Raises InputError on an unknown reader or option, on what is not there, and on whatever
+    the reader refuses.
     """
-    if name not in READERS:
-        raise InputError(f"unknown reader {name!r}; known are {', '.join(sorted(READERS))}")
-    if not Path(folder).is_dir():
-        raise InputError(f"{folder}: no such folder")
-    read = importlib.import_module(READERS[name]).read
-    known = list(inspect.signature(read).parameters)[1:]
-    if options is not None and not isinstance(options, Mapping):
-        raise InputError(f"data.options: found {options!r}, expected a table")
-    unknown = [key for key in options or {} if key not in known]
-    if unknown:
-        raise InputError(f"reader {name!r}: unknown option {unknown[0]!r}; known are {known}")
-    recording: Recording = read(Path(folder), **(options or {}))
+    options = {} if options is None else options
+    if wrong := options_wrong(name, options):
+        raise InputError(wrong)
+    path = Path(path)
+    if not (path.exists() if takes_files(name) else path.is_dir()):
+        what = "no such file or folder" if takes_files(name) else "no such folder"
+        raise InputError(f"{path}: {what}")
+    read = find_function(_module(name), "read")
+    asked = {_KNOWN: known or Known()} if asks(name) else {}
+    recording: Recording = read(path, **options, **asked)
     return recording

@@ -17,6 +17,7 @@ from relnav_graph.core.steps import check_steps
 from relnav_graph.core.track import Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
+from relnav_graph.maths.frames import rtn_axes
 from relnav_graph.maths.inertia import check_inertia
 from relnav_graph.memory import check_room
 from relnav_graph.sim.truths.integrate import STATE_SIZE, integrate
@@ -171,7 +172,7 @@ class RigidBodyPair(OrbitElements):
                 own = slice(begin, end), slice(rows[begin], rows[end])
                 integrate(p, now, counts[own[0]], h[own[0]], disturbance[own[1]], y[own[0]])
                 now, begin = y[end - 1].copy(), end
-            now[9:12] += _rtn_axes(now[None])[0].T @ step_o
+            now[9:12] += rtn_axes(now[None])[0][0].T @ step_o
         y = y[np.searchsorted(stops, t)]
         return Truth(
             t=t,
@@ -207,11 +208,8 @@ class RigidBodyPair(OrbitElements):
 
     def _values(self, t: Array, y: Array) -> dict[str, Array]:
         """Values of the blocks from the integrated states y (N, 19)."""
-        r_i, R_oi = y[:, 0:3], _rtn_axes(y)
-        momentum = np.linalg.norm(np.cross(r_i, y[:, 3:6]), axis=1)
+        R_oi, w_oi_o = rtn_axes(y)
         r_tc_o = np.einsum("nij,nj->ni", R_oi, y[:, 6:9])
-        w_oi_o = np.zeros_like(r_tc_o)
-        w_oi_o[:, 2] = momentum / (r_i**2).sum(axis=1)
         R_it = dense.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
         R_ic0 = self.initial_R_io(mu=self.mu) @ so3.exp(self.chaser_attitude.copy())
         R_ic = R_ic0 @ dense.stacked((so3.exp(self.chaser_rate * s) for s in t), 3, 3)
@@ -227,15 +225,6 @@ class RigidBodyPair(OrbitElements):
             "chaser_rate": np.tile(self.chaser_rate, (len(t), 1)),
             "inertia_parameters": np.tile(inertia_parameters, (len(t), 1)),
         }
-
-
-def _rtn_axes(y: Array) -> Array:
-    """R_oi (N, 3, 3): to RTN axes of the target's orbit, from the states y (N, 19)."""
-    r_i, v_i = y[:, 0:3], y[:, 3:6]
-    x_i = r_i / np.linalg.norm(r_i, axis=1)[:, None]
-    h_i = np.cross(r_i, v_i)
-    z_i = h_i / np.linalg.norm(h_i, axis=1)[:, None]
-    return np.stack([x_i, np.cross(z_i, x_i), z_i], axis=1)
 
 
 def checked_times(times: Array) -> Array:

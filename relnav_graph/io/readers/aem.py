@@ -1,0 +1,109 @@
+"""Reader of CCSDS attitude ephemeris messages (AEM): attitudes, which need a role here.
+
+Times and frames are those that the file names: UTC, TAI, GPS, TT or TDB; frame A is ICRF, GCRF or
+EME2000, all turned into GCRF, which is i, or the axes of another body; frame B is a body's. What
+the quaternion means stands in `relnav_graph.io.ccsds.aem`. A table of covariances beside the file,
+NAME_covariances.csv, is read with it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.track import Recording, Truth
+from relnav_graph.errors import InputError
+from relnav_graph.io.ccsds.aem import read_attitudes
+from relnav_graph.io.ccsds.oem import read_ephemeris
+from relnav_graph.io.known import Known
+from relnav_graph.io.orbits import part_of
+from relnav_graph.io.roles import check_role, orbit_recording, sensor_columns, states_at
+from relnav_graph.maths import dense, so3
+from relnav_graph.maths.frames import rtn_axes
+from relnav_graph.maths.instants import moved
+
+__all__ = ["FILES", "SUFFIXES", "read"]
+
+FILES = True
+SUFFIXES = (".aem",)
+_ROLES = {
+    "truth": "true attitudes, of the block `block`",
+    "measured": "attitudes that the sensor `sensor` measured",
+}
+#: Attitudes in o, and that of c relative to t.
+_IN_O, _RELATIVE = ("chaser_attitude", "target_attitude"), "relative_attitude"
+
+
+def read(
+    path: Path,
+    known: Known,
+    role: str = "",
+    sensor: str = "",
+    block: str = "chaser_attitude",
+    object: str = "",
+    target: str = "",
+    covariance: bool = False,
+    start: float = 0.0,
+    duration: float | None = None,
+) -> Recording:
+    """The attitudes of one file.
+
+    role: what they are here: "truth" of `block`, chaser_attitude or target_attitude, R_oc and R_ot,
+    with an inertial frame A, or relative_attitude, R_tc, with the target's axes as A; or "measured"
+    by `sensor`: as they are filed, from A to B. target: a file OEM of the target's orbit, with
+    which o turns where the scenario has an [orbit] (rather a part with the role "target"). object:
+    its name, where the file has several; covariance: measurements have the covariances of the table
+    beside the file, and a truth that was measured its sigmas; start, duration: the part to take, s.
+
+    Truth: the block, (N, 3, 3). Measurements: q_wxyz (1, 4), one for each epoch. Settings: the
+    absolute time of the first epoch.
+
+    Raises InputError, with file and line, on what the file lacks or is wrong in it, and without a
+    role.
+    """
+    check_role(path, "attitudes", role, _ROLES)
+    own = read_attitudes(path, object)
+    taken = own.useable.copy()
+    if not taken.any():
+        raise InputError(f"{path}: found no attitude in the useable time")
+    if start or duration is not None:
+        taken[taken] = part_of(own.t[taken], start, duration)
+    at = own.t[taken]
+    t, q = moved(at, -round(float(at[0]) * 1e9)), own.q_wxyz[taken]
+    P = own.need_covariance()[taken] if covariance else None
+    settings = {"time": {"epoch": str(own.epoch.after(float(at[0])))}}
+    if role == "measured":
+        names = ("q_w", "q_x", "q_y", "q_z")
+        if (chosen := sensor_columns(path, known, sensor, names)) != names:
+            raise InputError(f"{path}: sensor {sensor!r} has the columns {', '.join(chosen)}")
+        ids = np.zeros(1, np.int64)
+        measurements = tuple(
+            Measurement(
+                *(sensor, float(s), q[k : k + 1], ids),
+                covariance=None if P is None else P[k : k + 1],
+            )
+            for k, s in enumerate(t)
+        )
+        return Recording(t, measurements, {}, None, settings)
+    if block not in (*_IN_O, _RELATIVE) or own.inertial == (block == _RELATIVE):
+        found = "inertial axes" if own.inertial else "axes of a body"
+        expected = " or ".join(_IN_O) if own.inertial else _RELATIVE
+        raise InputError(
+            f"{path}: found the block {block!r} with {found} as REF_FRAME_A, expected {expected}"
+        )
+    R = dense.stacked((so3.from_quaternion(one) for one in np.ascontiguousarray(q)), 3, 3)
+    if known.orbital and own.inertial:
+        orbit = known.target
+        if target:
+            orbit = orbit_recording(read_ephemeris(path.parent / target))
+        if orbit is None:
+            raise InputError(
+                f"{path}: found attitudes in i, but o turns with [orbit]; expected the target's"
+                ' orbit beside them: a part with role = "target"'
+            )
+        R = rtn_axes(states_at(orbit, own.epoch, at, path))[0] @ R
+    sigmas = {} if P is None else {block: np.sqrt(np.einsum("nii->ni", P))}
+    truth = Truth(t, {block: R}, f"attitude of {own.name}, {path.name}", sigmas)
+    return Recording(t, (), {}, truth, settings)

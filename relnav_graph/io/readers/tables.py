@@ -1,0 +1,90 @@
+"""Reader of tables as in a data set (`relnav_graph.io.dataset`), as a part of recorded data.
+
+Of the sensors, inputs and true blocks of the scenario those are read that have a table in the
+folder; the others are of other parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from relnav_graph.core.track import Recording
+from relnav_graph.errors import InputError
+from relnav_graph.io.dataset import read_dataset
+from relnav_graph.io.known import Known
+from relnav_graph.maths.instants import Instant, leap_seconds
+
+__all__ = ["read"]
+
+#: Modified Julian days at which clocks of other programs begin.
+_UNIX, _GPS = 40587, 44244
+_DAY = 86400.0
+
+
+def read(
+    folder: Path,
+    known: Known,
+    only: Sequence[str] = (),
+    epoch: str = "",
+    stamps: str = "",
+    sort: bool = False,
+) -> Recording:
+    """The tables of a folder.
+
+    only: names of the sensors and inputs to read, by default all that are there; epoch: the
+    absolute time of a stamp of 0, as "2021-07-17T00:00:00 UTC"; stamps: "unix", seconds of UTC
+    since 1970 without leap seconds, or "gps", seconds since 1980-01-06; sort: put rows in order of
+    time. Without these, and without
+    a dataset.toml that says it, stamps are of the clock of the pass.
+
+    Raises InputError on tables that are damaged, when none is there, on a name that is not of the
+    scenario, and on Unix stamps across a leap second, which they do not tell.
+    """
+    names = {*known.sensors, *known.inputs}
+    unknown = [n for n in only if n not in names]
+    if unknown:
+        raise InputError(f"only: found {unknown[0]!r}, expected some of {', '.join(sorted(names))}")
+    if epoch and stamps:
+        raise InputError(f"found epoch {epoch!r} and stamps {stamps!r}, expected one of them")
+    chosen = set(only) or names
+    found = read_dataset(
+        folder,
+        {n: s for n, s in known.sensors.items() if n in chosen},
+        {n: columns for n, columns in known.inputs.items() if n in chosen},
+        known.blocks if not only else {},
+        known.merge,
+        known.statics,
+        known.origin,
+        known.late,
+        sort,
+        partial=True,
+    )
+    if not (found.measurements or found.inputs or found.truth):
+        raise InputError(f"{folder}: found no table of {', '.join(sorted(chosen))}")
+    if epoch or stamps:
+        begin = Instant.parse(epoch) if epoch else _begin(folder, found, stamps)
+        found = replace(found, settings={**found.settings, "time": {"epoch": str(begin)}})
+    return found
+
+
+def _begin(folder: Path, found: Recording, stamps: str) -> Instant:
+    """When a stamp of 0 is, counted back in seconds of today."""
+    if stamps == "gps":
+        return Instant.of(_GPS, 0.0, "GPS")
+    if stamps != "unix":
+        raise InputError(f"found stamps {stamps!r}, expected unix or gps")
+    times = [*found.times.tolist()]
+    for series in found.inputs.values():
+        times += [float(series.t_start[0]), float(series.t_end[-1])]
+    if found.truth is not None:
+        times += found.truth.t[[0, -1]].tolist()
+    first, last = (_UNIX + int(t // _DAY) for t in (min(times), max(times)))
+    leaps = leap_seconds(first)
+    if leap_seconds(last) != leaps:
+        raise InputError(
+            f"{folder}: found Unix stamps across a leap second, which they do not tell; expected"
+            " another clock"
+        )
+    return Instant.of(_UNIX, float(leaps), "TAI")
