@@ -8,20 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ccsds import EPOCH, RATE, circle, message, track
+from ccsds import EPOCH, formation, message, track
 
 from relnav_graph import read_raw, write_track
 from relnav_graph.arrays import Array
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
-from relnav_graph.io.ccsds.axes import state_turns
 from relnav_graph.io.ccsds.message import scaled, unscaled
 from relnav_graph.io.ccsds.oem import read_ephemeris
 from relnav_graph.io.known import Known
 from relnav_graph.maths.earth import gcrf_from_itrf
-from relnav_graph.maths.frames import from_rtn, rtn_axes, to_rtn
-from relnav_graph.maths.hermite import between_states
 from relnav_graph.maths.instants import SCALES, Instant
 
 ndm = pytest.importorskip("ccsds_ndm")
@@ -166,81 +163,6 @@ def test_utc_counts_a_leap_second(tmp_path: Path) -> None:
     path = message(tmp_path / "a.oem", "OEM", rows("2018-12-31T23:59:60"))
     with pytest.raises(InputError, match=r"a\.oem, line 14: .*no such time on that day"):
         true(path)
-
-
-def formation(folder: Path, t: Array, own: Array) -> tuple[Path, Path]:
-    """Files of a target on `circle` every 60 s and of a chaser at `own` (6,), in its RTN, that
-    turns with it."""
-    begin = Instant.parse("2020-01-01T00:00:00 TT")
-    steps = 60.0 * np.arange(int(t[-1] // 60) + 3, dtype=np.float64) - 60.0
-    out = []
-    for name, at, state in (
-        ("target", steps, circle(steps)),
-        ("chaser", t, from_rtn(np.tile(own, (len(t), 1)), circle(t))),
-    ):
-        lines = [
-            " ".join([begin.after(s).calendar("TT"), *(unscaled(x, 3) for x in row.tolist())])
-            for s, row in zip(at.tolist(), state, strict=True)
-        ]
-        out.append(message(folder / f"{name}.oem", "OEM", lines, TIME_SYSTEM="TT"))
-    return out[0], out[1]
-
-
-def test_two_orbits_are_a_relative_one(tmp_path: Path) -> None:
-    """A chaser at rest in RTN 100 m behind, between the states of the target: to 0.1 mm."""
-    t, own = np.arange(0.0, 600.0, 7.0), np.array([10.0, -100.0, 5.0, 0.0, 0.0, 0.0])
-    target, chaser = formation(tmp_path, t, own)
-    options = {"role": "truth", "target": target.name}
-    found = read_raw("oem", chaser, options, Known(orbital=True)).truth
-    assert found is not None
-    np.testing.assert_allclose(found.values["relative_position"] - own[:3], 0, atol=1e-4)
-    np.testing.assert_allclose(found.values["relative_velocity"], 0, atol=1e-5)
-    still = read_raw("oem", chaser, options).truth
-    assert still is not None
-    # In axes at rest it turns once per orbit; radial is the target's own direction.
-    r = circle(t)[:, :3] / 7e6
-    np.testing.assert_allclose((still.values["relative_position"] * r).sum(axis=1), 10, atol=1e-4)
-    fine = np.arange(0.0, 8.0, 0.5)
-    target, chaser = formation(tmp_path, fine, own)
-    moving = read_raw("oem", chaser, options).truth
-    assert moving is not None
-    r, v = (moving.values[f"relative_{n}"] for n in ("position", "velocity"))
-    np.testing.assert_allclose((r[2:] - r[:-2]) / 1.0, v[1:-1], atol=2e-4)
-    speed = np.linalg.norm(still.values["relative_velocity"], axis=1)
-    arm = np.hypot(10.0, 100.0)  # from the axis of the turn
-    np.testing.assert_allclose(speed, arm * RATE, rtol=1e-3)
-    with pytest.raises(InputError, match="the target's orbit is not known: it goes from"):
-        read_raw("oem", target, {"role": "truth", "target": chaser.name})
-
-
-def test_errors_turn_as_states_do() -> None:
-    """The matrix that turns errors from o to i, by finite differences."""
-    at, own = circle(np.array([77.0])), np.array([[10.0, -100.0, 5.0, 0.1, -0.2, 0.3]])
-    R_oi, w = rtn_axes(at)
-    T = state_turns(np.swapaxes(R_oi, 1, 2), w)[0]
-    steps = np.eye(6)[:, None] * 1e-2
-    found = [(from_rtn(own + d, at) - from_rtn(own - d, at))[0] / 2e-2 for d in steps]
-    np.testing.assert_allclose(np.array(found).T, T, atol=1e-6)
-    np.testing.assert_allclose(to_rtn(from_rtn(own, at), at), own, atol=1e-8)
-    n, h = at[0, :3] / 7e6, np.cross(at[0, :3], at[0, 3:])
-    np.testing.assert_allclose(R_oi[0, 0], n, atol=1e-12)
-    np.testing.assert_allclose(R_oi[0, 2], h / np.linalg.norm(h), atol=1e-12)
-    np.testing.assert_allclose(w[0], [0, 0, RATE], rtol=1e-12)
-
-
-def test_between_states_errs_as_it_says() -> None:
-    t = 0.19 / RATE * np.arange(8, dtype=np.float64)
-    times = np.linspace(0.0, float(t[-1]), 200, dtype=np.float64)
-    found = between_states(t, circle(t), times)
-    error = np.abs(found - circle(times))
-    inner = (times > t[1]) & (times < t[-2])
-    assert error[inner, :3].max() < 1e-4
-    assert error[inner, 3:].max() < 1e-5
-    assert np.isnan(between_states(1.1 * t, circle(1.1 * t), times[1:3])).all()
-    assert np.isnan(between_states(t, circle(t), np.array([-1.0, t[-1] + 1]))).all()
-    one = between_states(t[:1], circle(t[:1]), np.array([0.0, 1.0]))
-    np.testing.assert_array_equal(one[0], circle(t[:1])[0])
-    assert np.isnan(one[1]).all()
 
 
 def test_measured_positions_go_to_a_sensor(tmp_path: Path) -> None:

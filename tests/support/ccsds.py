@@ -18,7 +18,10 @@ from relnav_graph.core.catalogue import (
 )
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track
+from relnav_graph.io.ccsds.message import unscaled
 from relnav_graph.maths import so3
+from relnav_graph.maths.frames import from_rtn
+from relnav_graph.maths.instants import Instant
 
 #: Eleven seconds that have a leap second in the middle.
 EPOCH = "2016-12-31T23:59:55.3 UTC"
@@ -62,3 +65,21 @@ def message(path: Path, kind: str, rows: Sequence[str], version: str = "2.0", **
     data = ["DATA_START", *rows, "DATA_STOP"] if kind == "AEM" else list(rows)
     path.write_text("\n".join([*lines, *data]) + "\n")
     return path
+
+
+def formation(folder: Path, t: Array, own: Array) -> tuple[Path, Path]:
+    """Files of a target on `circle` every 60 s and of a chaser at `own` (6,), in its RTN, that
+    turns with it."""
+    begin = Instant.parse("2020-01-01T00:00:00 TT")
+    steps = 60.0 * np.arange(int(t[-1] // 60) + 3, dtype=np.float64) - 60.0
+    out = []
+    for name, at, state in (
+        ("target", steps, circle(steps)),
+        ("chaser", t, from_rtn(np.tile(own, (len(t), 1)), circle(t))),
+    ):
+        lines = [
+            " ".join([begin.after(s).calendar("TT"), *(unscaled(x, 3) for x in row.tolist())])
+            for s, row in zip(at.tolist(), state, strict=True)
+        ]
+        out.append(message(folder / f"{name}.oem", "OEM", lines, TIME_SYSTEM="TT"))
+    return out[0], out[1]
