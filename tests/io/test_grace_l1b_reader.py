@@ -172,7 +172,7 @@ BAD = {
 def test_damaged_files(tmp_path: Path, name: str) -> None:
     key, row, message = BAD[name]
     with pytest.raises(InputError, match=message):
-        read(write(tmp_path, **{key: {3: row}}))
+        read(write(tmp_path, HEADER, **{key: {3: row}}))
 
 
 def test_another_zero_of_time_or_none(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ ARRAYS = {"t": NS, "r": PLACES / 1e3, "q": XYZW, "sigma_BN": MRP, "w": np.rad2de
 ARRAYS["BN"] = R.transpose(0, 2, 1)
 UNIX = {"column": "t", "unit": "ns", "clock": "unix"}
 POSITION = {"columns": "r", "unit": "km"}
-SENSOR = PoseMeasurement(position_sigma=0.1, attitude_sigma=0.1)
+SENSOR = PoseMeasurement(position_sigma=np.ones(3), attitude_sigma=np.ones(3))
 KNOWN = Known(
     sensors={"board": SENSOR},
     inputs={"gyro": ("wx_rad_s", "wy_rad_s", "wz_rad_s")},

@@ -114,9 +114,9 @@ def test_kitti_takes_times_from_a_file_or_a_rate(tmp_path: Path) -> None:
 
 KNOWN = Known(
     sensors={
-        "board": PoseMeasurement(position_sigma=0.1, attitude_sigma=0.1),
-        "fix": PositionFix(sigma=0.1),
-        "stars": StarTracker(sigma=0.1),
+        "board": PoseMeasurement(position_sigma=np.ones(3), attitude_sigma=np.ones(3)),
+        "fix": PositionFix(sigma=np.ones(3)),
+        "stars": StarTracker(sigma=np.ones(3)),
     }
 )
 

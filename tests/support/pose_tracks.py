@@ -42,5 +42,11 @@ def pose_track(layout: Layout = IN_TARGET, count: int = 6, seed: int = 0, **chan
     roots = rng.normal(size=(count, layout.dim, layout.dim)) * rng.uniform(0.01, 0.1, layout.dim)
     P = roots @ roots.transpose(0, 2, 1)
     t = np.rint(1e9 * (0.1 * np.arange(count) + rng.uniform(0, 0.05, count))) / 1e9
-    made = {"name": "batch", "kind": "smoothed", "layout": layout, "t": t, "P": P} | changes
+    made: dict[str, Any] = {
+        "name": "batch",
+        "kind": "smoothed",
+        "layout": layout,
+        "t": t,
+        "P": P,
+    } | changes
     return Track(x=np.hstack(parts), **made)
