@@ -144,8 +144,9 @@ def nanoseconds(t: Array, origin: str | int = 0, epoch: str = "") -> NDArray[np.
     """Stamps in whole ns (N,), the nearest ones, of times t (N,), s.
 
     origin: the stamp of t = 0, s, as text or a whole number; or epoch: its absolute time, as
-    "2021-07-17T00:00:00 TT": stamps are Unix time then, which has the same twice in a leap second.
-    Raises InputError on both, on an origin that is no time in ns, and on stamps beyond int64.
+    "2021-07-17T00:00:00 TT": stamps are Unix time then. Raises InputError on both, on an origin
+    that is no time in ns, on stamps beyond int64, and on a leap second, in which Unix time has the
+    same stamps twice.
     """
     begin = decimal("origin", str(origin)) * NANO
     if begin != begin.to_integral_value() or (begin and epoch):
@@ -161,4 +162,11 @@ def nanoseconds(t: Array, origin: str | int = 0, epoch: str = "") -> NDArray[np.
         return found + start
     zero, tai = CLOCKS["unix"][0], Instant.parse(epoch).tai
     days = (Instant(tai + n).in_scale("UTC") for n in found.tolist())
-    return np.array([(day - zero) * _DAY * NANO + ns for day, ns in days], dtype=np.int64)
+    unix = np.array([(day - zero) * _DAY * NANO + ns for day, ns in days], dtype=np.int64)
+    back = np.flatnonzero((np.diff(unix) <= 0) & (np.diff(found) > 0))
+    if len(back):
+        raise InputError(
+            f"found a leap second at t = {t[back[0] + 1]:.9g} s, in which Unix time falls back;"
+            ' expected no epoch (epoch = ""), and an origin for stamps of another clock'
+        )
+    return unix

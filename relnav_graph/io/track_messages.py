@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import BODY_RATE, TARGET_RATE
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
@@ -128,9 +129,9 @@ def write_track_bag(
     attitude has ``/NAME/position`` (PointStamped). NAME is the track's, letters and digits alone.
 
     attitude, position, inverse: which pose, see `relnav_graph.io.track_poses.pose_of`; rate,
-    velocity: blocks of the track, in one frame; origin: the stamp of t = 0, s, as text or a whole
-    number, or epoch: its absolute time, for stamps in Unix time. Stamps are whole nanoseconds, the
-    nearest ones; ROS 1 has none below zero.
+    velocity: blocks of the track, in one frame, by default the target's rate, if it is there;
+    origin: the stamp of t = 0, s, as text or a whole number, or epoch: its absolute time, for
+    stamps in Unix time. Stamps are whole nanoseconds, the nearest ones; ROS 1 has none below zero.
 
     Raises InputError on what the track lacks, on estimates that are not finite, on two epochs
     within a nanosecond, over what is no bag with these topics alone, and where nothing can be
@@ -144,14 +145,17 @@ def write_track_bag(
     stamps = nanoseconds(track.t, origin, epoch)
     if len(stamps) == 0 or (np.diff(stamps) <= 0).any() or stamps[0] < 0:
         raise InputError(
-            f"track {track.name!r}: found {len(stamps)} stamps of {stamps.min(initial=0)} ns and"
-            " more, expected some, of zero or more, that rise by a nanosecond or more; option"
-            " origin is added to them"
+            f"track {track.name!r}: found {len(stamps)} stamps, the first of them"
+            f" {stamps[:1].tolist()} ns; expected some, of zero or more, that rise by a nanosecond or"
+            " more; option origin is added to them"
         )
     make = _Maker(types(1 if form == "ros1" else 2), stamps)
     name = "".join(c if c.isascii() and c.isalnum() else "_" for c in track.name) or "track"
     pose.check()
     topics = _pose_topics(make, name, pose)
+    if not rate and not velocity:
+        names = [b.name for b in track.layout]
+        rate = next((b.name for b in (TARGET_RATE, BODY_RATE) if b.name in names), "")
     if rate or velocity:
         twist = twist_of(track, rate, velocity)
         twist.check()

@@ -210,7 +210,7 @@ def test_a_track_as_a_bag_and_back(
     for _ in range(2):  # what it would itself have written is replaced
         write_track(
             *(writer, track, path),
-            **{"origin": "1403636579", "rate": "body_rate", **options},
+            **{"origin": "1403636579", **options},
         )
     assert (path.is_dir(), by_suffix(path)) == ("." not in name, writer if "." in name else None)
     back = read_raw("ros", path, {"topics": {"/batch/pose": POSE}})

@@ -214,9 +214,12 @@ def test_a_leap_second_and_whole_nanoseconds() -> None:
     assert clock.seconds([Decimal(int(s)) / 10**9 for s in stamps], begin).tolist() == [0, 2, 3]
     ns = nanoseconds(np.array([0.1, 1.000000001]), "1403636579")
     assert ns.tolist() == [1403636579100000000, 1403636580000000001]
-    # In the second before midnight, in the leap second, and after it.
-    late = nanoseconds(np.array([0.0, 1.0, 2.0]), epoch="2016-12-31T23:59:59.5 UTC")
-    assert (late - 10**9 * 1483228799).tolist() == [500000000, 1500000000, 1500000000]
+    # Before the leap second and after it; within it Unix time has the stamps of the next one.
+    midnight = "2016-12-31T23:59:59.5 UTC"
+    late = nanoseconds(np.array([0.0, 2.0]), epoch=midnight)
+    assert (late - 10**9 * 1483228799).tolist() == [500000000, 1500000000]
+    with pytest.raises(InputError, match="found a leap second at t = 2 s"):
+        nanoseconds(np.array([0.0, 1.0, 2.0]), epoch=midnight)
     gps = Clock("gps").settings(Decimal(1000000000))["time"]["epoch"]
     assert Instant.parse(gps) == Instant.parse("2011-09-14T01:46:25 UTC")
 
