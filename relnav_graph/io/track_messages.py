@@ -146,8 +146,8 @@ def write_track_bag(
     if len(stamps) == 0 or (np.diff(stamps) <= 0).any() or stamps[0] < 0:
         raise InputError(
             f"track {track.name!r}: found {len(stamps)} stamps, the first of them"
-            f" {stamps[:1].tolist()} ns; expected some, of zero or more, that rise by a nanosecond or"
-            " more; option origin is added to them"
+            f" {stamps[:1].tolist()} ns; expected some, of zero or more, that rise by a nanosecond"
+            " or more; option origin is added to them"
         )
     make = _Maker(types(1 if form == "ros1" else 2), stamps)
     name = "".join(c if c.isascii() and c.isalnum() else "_" for c in track.name) or "track"

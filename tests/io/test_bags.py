@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -288,3 +289,10 @@ def test_a_track_without_an_attitude_and_what_it_lacks(tmp_path: Path) -> None:
         velocity="relative_velocity",
     )
     assert (tmp_path / "mine" / "notes.txt").read_text() == "kept"
+
+
+def test_without_the_extra_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = bag(tmp_path, "mcap")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(InputError, match=r"bags need rosbags: install relnav-graph\[ros\]"):
+        read(path, "/pose", {"truth": {"position": "r"}})
