@@ -24,6 +24,7 @@ __all__ = [
     "convert",
     "parse_quantity",
     "quantities",
+    "si_scale",
     "unit_of",
     "unit_scale",
 ]
@@ -107,6 +108,11 @@ def unit_scale(unit: str, si: str) -> float:
     if exponents != si_exponents:
         raise InputError(f"found unit {unit!r}, expected one like {si!r}")
     return scale / si_scale
+
+
+def si_scale(unit: str) -> float:
+    """Factor from `unit` to SI, of whatever it measures. Raises InputError on an unknown one."""
+    return _parse_unit(unit)[0]
 
 
 def convert(value: Any, unit: str, to: str) -> Any:

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
+from relnav_graph.maths.earth import EarthTable, gcrf_from_itrf
+from relnav_graph.maths.instants import Instant
 
 __all__ = [
     "DAY",
     "SAME",
     "Orbit",
+    "celestial",
     "check_state",
     "check_states",
+    "excess",
     "in_common",
     "in_order",
     "part_of",
@@ -29,6 +33,8 @@ DAY = 86400.0
 SAME = 1e-5
 #: Lengths of position, m, and velocity, m/s, that an orbit about the Earth can have.
 _PLACES, _SPEEDS = (6.3e6, 1e9), (10.0, 11.2e3)
+#: A measured range and the distance of the orbits differ by less than that share, both in m.
+_LIKE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,3 +133,38 @@ def part_of(t: Array, start: float, duration: float | None) -> NDArray[np.bool_]
             f" epochs or more of 0 to {since[-1]:g} s"
         )
     return part
+
+
+def celestial(
+    begin: Instant, t: Array, state: Array, table: EarthTable | None
+) -> tuple[Array, Array]:
+    """Positions and velocities (N, 3) in i of Earth-fixed ones (N, 6), m and m/s.
+
+    t: (N,), s since an instant; table: the Earth's orientation, see
+    `relnav_graph.maths.earth.gcrf_from_itrf`.
+    """
+    r, v = gcrf_from_itrf(begin, t, state[:, :3], state[:, 3:], table)
+    return np.ascontiguousarray(r), np.ascontiguousarray(v)
+
+
+def excess(
+    path: Path, t: Array, ranges: Array, own: Array, distance: Array, like: bool = True
+) -> Array:
+    """What measured ranges (M,) at t (M,), s, are more than what the orbits say (N,) at own times
+    (N,), s; between measurements linear. Distances are in m, or rates in m/s with `like` False.
+
+    Raises InputError when none are of one time, or, of distances, are too far from those.
+    """
+    k = np.clip(np.searchsorted(own, t - SAME), 0, len(own) - 1)
+    both = np.abs(own[k] - t) <= SAME
+    if not both.any():
+        raise InputError(f"{path}: found no epoch in common with the orbits, expected some")
+    more = ranges[both] - distance[k[both]]
+    apart = float(np.median(distance[k[both]]))
+    if like and abs(float(np.median(more))) > _LIKE * apart:
+        raise InputError(
+            f"{path}: found ranges of {np.median(ranges[both]):.6g} m, but the orbits are"
+            f" {apart:.6g} m apart (another unit, or another pass?)"
+        )
+    found: Array = np.interp(own, t[both], more)
+    return found

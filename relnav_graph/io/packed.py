@@ -14,13 +14,18 @@ from relnav_graph.files import read_file
 __all__ = ["one_file", "read_rows"]
 
 
-def one_file(folder: Path, pattern: str, part: str = "", needed: bool = True) -> Path | None:
-    """The file of a folder that fits a pattern and has `part` in its name, which [data.options]
-    `run` says; None where there is none and none is needed. Raises InputError on several."""
+def one_file(
+    folder: Path, pattern: str, part: str = "", needed: bool = True, option: str = "run"
+) -> Path | None:
+    """The file of a folder that fits a pattern and has `part` in its name, which an option of
+    [data.options] says; None where there is none and none is needed. Raises InputError on
+    several."""
     found = sorted(p for p in folder.glob(pattern) if part in p.name)
     if len(found) > 1:
         names = ", ".join(p.name for p in found)
-        raise InputError(f"{folder}: found {names}; name the run by a part, data.options.run")
+        raise InputError(
+            f"{folder}: found {names}; name the {option} by a part, data.options.{option}"
+        )
     if not found and needed:
         raise InputError(f"{folder}: no file {pattern} {part and f'with {part!r}'}".rstrip())
     return found[0] if found else None

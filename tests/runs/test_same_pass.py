@@ -16,6 +16,7 @@ from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.io.ccsds.message import unscaled
+from relnav_graph.io.clocks import nanoseconds
 from relnav_graph.io.covariances import covariance_columns
 from relnav_graph.io.tabular import write_table
 from relnav_graph.maths import so3
@@ -144,6 +145,93 @@ def test_as_tables_and_as_messages_it_is_the_same(tmp_path: Path) -> None:
     again = open_pass(path, data=path.parent)
     np.testing.assert_array_equal(again.recording.times, opened.recording.times)
     assert again.scenario.file.time.epoch == "2017-01-01T00:01:06.484 TT"
+
+
+def as_npz(folder: Path) -> dict[str, Any]:
+    """An .npz with stamps in whole nanoseconds of Unix time, and its [data]."""
+    t, r, q, fix, rate = recorded()
+    stamps = {"t": t, "t_fix": t + 0.1, "t_gyro": np.append(-0.3, t + 0.3)}
+    ns = {name: unix(one) for name, one in stamps.items()}
+    w = np.vstack([np.zeros(3), rate])
+    np.savez(folder / "pass.npz", r=1e3 * r, q=q[:, [1, 2, 3, 0]], fix=fix, w=w, **ns)
+
+    def time(column: str) -> dict[str, str]:
+        return {"column": column, "unit": "ns", "clock": "unix"}
+
+    pose = {"columns": "r", "unit": "mm", "quaternion": "q", "order": "xyzw"}
+    sensors = {"pose": pose, "fix": {"columns": "fix", "unit": "m", "time": time("t_fix")}}
+    inputs = {"gyro": {"columns": "w", "unit": "rad/s", "time": time("t_gyro")}}
+    options = {"time": time("t"), "sensors": sensors, "inputs": inputs}
+    return {"reader": "table", "options": options}
+
+
+def unix(t: Array) -> Any:
+    return nanoseconds(t, epoch=SUMMER)
+
+
+#: Of a pass without a leap second, in which Unix time would stand still.
+SUMMER = "2014-06-24T19:02:59.3 UTC"
+
+
+def as_bag(folder: Path) -> dict[str, Any]:
+    """A bag of ROS 2 as rosbags writes it, and its [data]."""
+    typesys, rosbag2 = (pytest.importorskip(f"rosbags.{n}") for n in ("typesys", "rosbag2"))
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    T, geometry = store.types, "geometry_msgs/msg/"
+    t, r, q, fix, rate = recorded()
+
+    def header(ns: int) -> Any:
+        stamp = T["builtin_interfaces/msg/Time"](*divmod(ns, 10**9))
+        return T["std_msgs/msg/Header"](stamp, "target")
+
+    def vector(v: Array, name: str = "Vector3") -> Any:
+        return T[geometry + name](*v.tolist())
+
+    def pose(ns: int, k: int) -> Any:
+        turn = T[geometry + "Quaternion"](*q[k, [1, 2, 3, 0]].tolist())
+        place = T[geometry + "Pose"](vector(r[k], "Point"), turn)
+        return T[geometry + "PoseStamped"](header(ns), place)
+
+    def imu(ns: int, k: int) -> Any:
+        turn, no = T[geometry + "Quaternion"](0.0, 0.0, 0.0, 1.0), np.array([-1.0] + 8 * [0.0])
+        w, f = vector(np.vstack([np.zeros(3), rate])[k]), vector(np.zeros(3))
+        return T["sensor_msgs/msg/Imu"](header(ns), turn, no, w, no, f, no)
+
+    def point(ns: int, k: int) -> Any:
+        return T[geometry + "PointStamped"](header(ns), vector(fix[k], "Point"))
+
+    gyro_t = np.append(-0.3, t + 0.3)
+    with rosbag2.Writer(folder / "bag", version=8) as writer:
+        for name, kind, at, made in (
+            ("/pose", geometry + "PoseStamped", t, pose),
+            ("/fix", geometry + "PointStamped", t + 0.1, point),
+            ("/imu", "sensor_msgs/msg/Imu", gyro_t, imu),
+        ):
+            topic = writer.add_connection(name, kind, typestore=store)
+            for k, ns in enumerate(unix(at).tolist()):
+                writer.write(topic, ns + 1000, store.serialize_cdr(made(ns, k), kind))
+    roles = {"/pose": {"measured": "pose"}, "/fix": {"measured": "fix"}}
+    return {
+        "reader": "ros",
+        "options": {"topics": {**roles, "/imu": {"inputs": {"rate": "gyro"}}}},
+    }
+
+
+@pytest.mark.parametrize("made", [as_npz, as_bag])
+def test_as_tables_and_as_arrays_or_a_bag_it_is_the_same(tmp_path: Path, made: Any) -> None:
+    one = as_tables(tmp_path / "set")
+    (tmp_path / "files").mkdir()
+    data = made(tmp_path / "files")
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps({**SCENARIO, "time": {"epoch": SUMMER}, "data": data}))
+    opened = open_pass(path, data=tmp_path / "files")
+    # Whole nanoseconds, which float64 at such a time has not.
+    t = np.sort(np.concatenate([STEP * np.arange(N), STEP * np.arange(N) + 0.1]))
+    np.testing.assert_array_equal(opened.recording.times, np.round(t, 9))
+    other = run_estimator("batch", opened.problem)
+    d = one.layout.local(one.x, other.x) / np.sqrt(np.einsum("nii->ni", one.P))
+    assert np.abs(d).max() < 1e-6
+    np.testing.assert_allclose(other.P, one.P, rtol=1e-6, atol=1e-15)
 
 
 def test_it_is_a_data_set_of_its_own_and_converts_to_one(

@@ -29,14 +29,15 @@ from relnav_graph.io.orbits import (
     DAY,
     SAME,
     Orbit,
+    celestial,
     check_state,
+    excess,
     in_common,
     in_order,
     part_of,
     roles,
 )
 from relnav_graph.io.packed import one_file, read_rows
-from relnav_graph.maths.earth import EarthTable, gcrf_from_itrf
 from relnav_graph.maths.instants import Instant
 
 __all__ = ["read"]
@@ -47,8 +48,6 @@ _KM, _DM_S = 1e3, 0.1
 _ORDINAL = 678576
 _DATE = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})", re.ASCII)
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d*)?)", re.ASCII)
-#: The range and the distance of the orbits differ by less than that share, if both are in m.
-_LIKE = 0.01
 
 
 def _time(where: str, day: str, clock: str) -> tuple[float, float]:
@@ -123,24 +122,6 @@ def _ranges(path: Path, day: float) -> tuple[Array, Array]:
     return (table[:, 0] - day) * DAY + table[:, 1], table[:, 2]
 
 
-def _excess(path: Path, t: Array, ranges: Array, own: Array, distance: Array) -> Array:
-    """What the ranges (M,), m, at t (M,), s, are more than the distance (N,), m, at own times
-    (N,); between ranges linear."""
-    k = np.clip(np.searchsorted(own, t - SAME), 0, len(own) - 1)
-    both = np.abs(own[k] - t) <= SAME
-    if not both.any():
-        raise InputError(f"{path}: found no epoch in common with the orbits, expected some")
-    more = ranges[both] - distance[k[both]]
-    apart = float(np.median(distance[k[both]]))
-    if abs(float(np.median(more))) > _LIKE * apart:
-        raise InputError(
-            f"{path}: found ranges of {np.median(ranges[both]):.6g} m, but the orbits are"
-            f" {apart:.6g} m apart (another unit, or another pass?)"
-        )
-    found: Array = np.interp(own, t[both], more)
-    return found
-
-
 def read(
     folder: Path,
     sensor: str = "range",
@@ -174,8 +155,8 @@ def read(
     first, end = t[part][0], t[part][-1]
     times, begin = t[part] - first, Instant.of(int(day), float(first), "GPS")
     table = AbsoluteTime(str(begin), orientation).table
-    r_c, v_c = _celestial(begin, times, craft.state[both][part], table)
-    r_t, v_t = _celestial(begin, times, target.state[k][part], table)
+    r_c, v_c = celestial(begin, times, craft.state[both][part], table)
+    r_t, v_t = celestial(begin, times, target.state[k][part], table)
     values = {
         "relative_position": r_c - r_t,
         "relative_velocity": v_c - v_t,
@@ -193,16 +174,8 @@ def read(
         ids = np.zeros(1, dtype=np.int64)
         pairs = zip(at, ranges, strict=True)
         measurements = tuple(Measurement(sensor, float(s), np.array([[z]]), ids) for s, z in pairs)
-        more = _excess(path, at, ranges, times, np.linalg.norm(r_c - r_t, axis=1))
+        more = excess(path, at, ranges, times, np.linalg.norm(r_c - r_t, axis=1))
         values["range_bias"] = np.full((len(times), 1), more.mean())
         values["range_drift"] = more[:, None] - more.mean()
     truth = Truth(times, values, source)
     return Recording(times, measurements, {}, truth, {"time": {"epoch": str(begin)}})
-
-
-def _celestial(
-    begin: Instant, t: Array, state: Array, table: EarthTable | None
-) -> tuple[Array, Array]:
-    """Positions and velocities (N, 3) in i of Earth-fixed ones (N, 6), m and m/s."""
-    r, v = gcrf_from_itrf(begin, t, state[:, :3], state[:, 3:], table)
-    return np.ascontiguousarray(r), np.ascontiguousarray(v)

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.measurement import InputSeries, Measurement
-from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
 from relnav_graph.io.packed import one_file, read_rows
-from relnav_graph.maths import dense, so3
+from relnav_graph.io.poses import from_quaternions
+from relnav_graph.maths import so3
 from relnav_graph.units import Quantity
 
 __all__ = ["read"]
@@ -64,13 +64,7 @@ class _Table:
 
     def rotations(self, first: int) -> Array:
         """(N, 3, 3) of the quaternions w, x, y, z that begin at a column."""
-        q = np.ascontiguousarray(self.values[:, first : first + 4])
-        bad = np.nonzero(~(np.abs(np.linalg.norm(q, axis=1) - 1) <= UNIT_QUATERNION))[0]
-        if len(bad):
-            raise InputError(
-                f"{self.where(bad[0])}: found the quaternion {q[bad[0]]}, expected one of length 1"
-            )
-        return dense.stacked((so3.from_quaternion(one) for one in q), 3, 3)
+        return from_quaternions(self.where, self.values[:, first : first + 4])
 
 
 def _table(path: Path, columns: Sequence[str]) -> _Table:

@@ -1,0 +1,306 @@
+"""What states in a file are to an estimate: truth, measurements or inputs; and the recording.
+
+A file of trajectories holds states, and does not say what they are to be. A reader has it declared:
+
+- ``truth``: blocks, by quantity: ``{ position = "relative_position", attitude =
+  "relative_attitude" }``. Of quantities with a covariance it is the truth's own noise.
+- ``measured``: a sensor of the scenario, by its name: what of the states it measures its
+  columns say; or, where the scenario is not known, sensors by quantity: ``{ pose = "tracker" }``,
+  with "pose" for a position (m) and q_wxyz. How good they are its sigma in the scenario says.
+- ``inputs``: inputs, by quantity: ``{ rate = "gyro", acceleration = "accelerometer" }``; with
+  ``samples`` = "mean", each sample is the mean since the one before, as in a data set, and the
+  first one only says when the first interval starts; = "instant", each is taken at its stamp, and
+  the mean of an interval is that of both ends.
+- ``inverse = true``: the file has the pose of a in b for that of b in a, see
+  `relnav_graph.io.poses`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.epochs import epoch_times
+from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.track import Recording, Truth
+from relnav_graph.errors import InputError
+from relnav_graph.io.known import Known
+from relnav_graph.io.poses import Motion, quaternions
+from relnav_graph.io.truth import at_epochs
+from relnav_graph.units import column_unit
+
+__all__ = ["SAMPLES", "Collected", "Roles"]
+
+_LOG = logging.getLogger(__name__)
+SAMPLES = ("mean", "instant")
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+#: Columns of the sensors, and which quantities of a motion they are, one after the other.
+_COLUMNS: Mapping[tuple[str, ...], str] = {
+    ("x_m", "y_m", "z_m", *_QUATERNION): "pose",
+    ("x_m", "y_m", "z_m"): "position",
+    _QUATERNION: "attitude",
+    ("x_m_s", "y_m_s", "z_m_s"): "velocity",
+    ("x_rad_s", "y_rad_s", "z_rad_s"): "rate",
+}
+_UNITS = {"rate": "rad/s", "acceleration": "m/s^2", "velocity": "m/s"}
+
+
+def _named(where: str, found: Any) -> dict[str, str]:
+    """Names by quantity. Raises InputError on anything else."""
+    if not isinstance(found, Mapping) or not all(isinstance(v, str) for v in found.values()):
+        raise InputError(f"{where}: found {found!r}, expected names by quantity")
+    return dict(found)
+
+
+@dataclass(frozen=True)
+class Roles:
+    """What the states of a file are: names by quantity, see above. where: the options' path.
+
+    sensors: names of sensors whose columns say what they measure.
+    """
+
+    where: str
+    truth: Mapping[str, str]
+    measured: Mapping[str, str]
+    sensors: tuple[str, ...]
+    inputs: Mapping[str, str]
+    inverse: bool = False
+    samples: str = "mean"
+    covariance: bool = False
+
+    @staticmethod
+    def of(
+        where: str,
+        truth: Any = None,
+        measured: Any = None,
+        inputs: Any = None,
+        inverse: bool = False,
+        samples: str = "mean",
+        covariance: bool = False,
+    ) -> Roles:
+        """From options. Raises InputError when none is declared, or one is of another form."""
+        if not truth and not measured and not inputs:
+            raise InputError(
+                f"{where}: found states without a role, expected truth = {{ position = BLOCK,"
+                " attitude = BLOCK }, measured = SENSOR, or inputs = { rate = INPUT }"
+            )
+        one = (measured,) if isinstance(measured, str) else measured
+        several = isinstance(one, list | tuple)
+        if several and not all(isinstance(name, str) for name in one):
+            raise InputError(f"{where}.measured: found {one!r}, expected names of sensors")
+        if samples not in SAMPLES:
+            expected = " or ".join(SAMPLES)
+            raise InputError(f"{where}.samples: found {samples!r}, expected {expected}")
+        for name, flag in (("inverse", inverse), ("covariance", covariance)):
+            if not isinstance(flag, bool):
+                raise InputError(f"{where}.{name}: found {flag!r}, expected true or false")
+        return Roles(
+            where,
+            _named(f"{where}.truth", truth or {}),
+            {} if several else _named(f"{where}.measured", one or {}),
+            tuple(one) if several else (),
+            _named(f"{where}.inputs", inputs or {}),
+            inverse,
+            samples,
+            covariance,
+        )
+
+    def only(self, *kinds: str) -> Roles:
+        """The same with some of "truth", "measured" and "inputs" alone; what of is inverted
+        are the first two."""
+        states = "measured" in kinds
+        return replace(
+            self,
+            truth=self.truth if "truth" in kinds else {},
+            measured=self.measured if states else {},
+            sensors=self.sensors if states else (),
+            inputs=self.inputs if "inputs" in kinds else {},
+            inverse=self.inverse and kinds != ("inputs",),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _True:
+    """Values of a block at t (N,), s, and their sigmas (N, dim), where known."""
+
+    t: Array
+    value: Array
+    sigma: Array | None
+    where: str
+
+
+@dataclass
+class Collected:
+    """A recording in the making: measurements, inputs and truth of one file after the other."""
+
+    known: Known
+    source: str
+    measurements: list[Measurement] = field(default_factory=list)
+    inputs: dict[str, InputSeries] = field(default_factory=dict)
+    truth: dict[str, _True] = field(default_factory=dict)
+
+    def add(self, motion: Motion, roles: Roles) -> None:
+        """What a motion is by its roles. Raises InputError on quantities that it does not have,
+        names that are taken, and columns of another sensor."""
+        motion = motion.inverse() if roles.inverse else motion
+        for quantity, block in roles.truth.items():
+            value, P = _value(motion, quantity, f"{roles.where}.truth"), motion.covariance(quantity)
+            sigma = None if P is None else np.sqrt(np.einsum("nii->ni", P))
+            self.check_truth(f"{roles.where}.truth.{quantity}", block)
+            self.add_truth(f"{roles.where}.truth.{quantity}", block, motion.t, value, sigma)
+        for name in roles.sensors:
+            self._add_measured(motion, self._measures(roles.where, name), name, roles)
+        for quantity, name in roles.measured.items():
+            self._add_measured(motion, quantity, name, roles)
+        for quantity, name in roles.inputs.items():
+            value = _value(motion, quantity, f"{roles.where}.inputs")
+            self._check_input(f"{roles.where}.inputs.{quantity}", name, quantity)
+            self.add_input(motion.where, name, motion.t, value, roles.samples)
+
+    def _measures(self, where: str, name: str) -> str:
+        """Which quantity a sensor of the scenario measures, by its columns."""
+        sensor = self.known.sensors.get(name)
+        if sensor is None:
+            there = ", ".join(self.known.sensors) or "none"
+            raise InputError(
+                f"{where}.measured: found {name!r}, expected a sensor, one of {there};"
+                ' where it is not known, its quantity beside it, as { pose = "NAME" }'
+            )
+        columns = tuple(sensor.columns)
+        if columns not in _COLUMNS:
+            raise InputError(
+                f"{where}.measured: found {name!r}, which measures {', '.join(columns)};"
+                f" expected a sensor of a {', '.join(_COLUMNS.values())}"
+            )
+        return _COLUMNS[columns]
+
+    def _add_measured(self, motion: Motion, quantity: str, name: str, roles: Roles) -> None:
+        """One measurement of a quantity, or of the "pose", at each time, for a sensor."""
+        where = f"{roles.where}.measured"
+        if name in self.known.sensors and self._measures(roles.where, name) != quantity:
+            columns = ", ".join(self.known.sensors[name].columns)
+            raise InputError(f"{where}: found a {quantity} for {name!r}, which measures {columns}")
+        parts = ("position", "attitude") if quantity == "pose" else (quantity,)
+        found = [_value(motion, part, where) for part in parts]
+        z = np.hstack([quaternions(v) if v.ndim == 3 else v for v in found])
+        P = motion.covariance(quantity)
+        if not roles.covariance:
+            if P is not None and np.isfinite(P).any():
+                _LOG.info(
+                    f"{self.source}: {name!r} has the sigma of the scenario; with covariance = true"
+                    " it has the covariances of the file"
+                )
+            P = None
+        elif P is None or not np.isfinite(P).all():
+            k = 0 if P is None else int(np.argmin(np.isfinite(P).all(axis=(1, 2))))
+            raise InputError(f"{motion.where(k)}: found no covariance of the {quantity}")
+        self.add_rows(name, motion.t, z, None, motion.arrival, P)
+
+    def add_rows(
+        self,
+        name: str,
+        t: Array,
+        z: Array,
+        ids: Indices | None = None,
+        arrival: Array | None = None,
+        covariance: Array | None = None,
+    ) -> None:
+        """Measurements of a sensor: z (N, columns) at t (N,), s, which do not fall; rows of one
+        time are one measurement. ids (N,): default 0; arrival (N,): when they became known, s;
+        covariance (N, rows, rows), SI."""
+        if any(m.sensor == name for m in self.measurements):
+            raise InputError(f"data.options: found measurements of {name!r} twice")
+        ids = np.zeros(len(t), dtype=np.int64) if ids is None else ids
+        edges = [*np.nonzero(np.diff(t, prepend=-np.inf) > 0)[0].tolist(), len(t)]
+        for i, j in pairwise(edges):
+            when = None if arrival is None else float(arrival[i])
+            P = None if covariance is None else covariance[i:j]
+            one = Measurement(name, float(t[i]), z[i:j], ids[i:j], when, covariance=P)
+            self.measurements.append(one)
+
+    def _check_input(self, where: str, name: str, quantity: str) -> None:
+        """Raise InputError when an input of the scenario has other columns."""
+        columns = self.known.inputs.get(name)
+        unit = _UNITS.get(quantity)
+        if columns is None or unit is None:
+            return
+        if len(columns) != 3 or any(column_unit(c) != unit for c in columns):
+            raise InputError(f"{where}: found {name!r}, whose columns are {', '.join(columns)}")
+
+    def add_input(self, where: Any, name: str, t: Array, value: Array, samples: str) -> None:
+        """An input of samples (N, channels) at t (N,), s, rising."""
+        if name in self.inputs:
+            raise InputError(f"data.options: found the input {name!r} twice")
+        if len(t) < 2:
+            raise InputError(
+                f"{where(0)}: found {len(t)} samples of {name!r}, expected two or more"
+            )
+        means = value[1:] if samples == "mean" else 0.5 * (value[1:] + value[:-1])
+        self.inputs[name] = InputSeries(name, t[:-1], t[1:], means, None, self.source)
+
+    def add_truth(
+        self, where: str, name: str, t: Array, value: Array, sigma: Array | None = None
+    ) -> None:
+        """True values of a block at t (N,), s, rising. Raises InputError on a block that the
+        scenario has in another form, and on one that is there already."""
+        if name in self.truth:
+            raise InputError(f"{where}: found the truth of {name!r} twice")
+        block = self.known.blocks.get(name)
+        if block is not None:
+            shape = (3, 3) if block.manifold == "SO3" else (block.dim,)
+            if value.shape[1:] != shape:
+                raise InputError(f"{where}: found {value.shape[1:]} for {name!r}, expected {shape}")
+        self.truth[name] = _True(t, value, sigma, where)
+
+    def check_truth(self, where: str, name: str) -> None:
+        """Say that the scenario has no block, nor what derives from its blocks, of a name that
+        somebody gave."""
+        blocks = self.known.blocks
+        there = [*blocks, *(q.block.name for q in derived_quantities(Layout(blocks.values())))]
+        if blocks and name not in there:
+            close = difflib.get_close_matches(name, there, 1)
+            hint = f" (is {close[0]!r} meant?)" if close else ""
+            _LOG.warning(f"{where}: the scenario has no {name!r}{hint}: it scores nothing")
+
+    def recording(self, settings: Mapping[str, Any] | None = None) -> Recording:
+        """The recording: epochs are the times of measurements, without any those of truth."""
+        self.measurements.sort(key=lambda m: m.t)
+        times = epoch_times(np.array([m.t for m in self.measurements]), self.known.merge)
+        if not len(times) and self.truth:
+            times = np.unique(np.concatenate([one.t for one in self.truth.values()]))
+        truth = self._truth(times) if self.truth else None
+        return Recording(times, tuple(self.measurements), self.inputs, truth, settings or {})
+
+    def _truth(self, times: Array) -> Truth:
+        """All that is true at its own times and, between them, at the epochs."""
+        own = np.unique(np.concatenate([one.t for one in self.truth.values()]))
+        lacking = times[~Truth(own, {}).at(times)[1]]
+        t = np.sort(np.concatenate([own, lacking]))
+        values, sigmas = dict[str, Array](), dict[str, Array]()
+        for name, one in self.truth.items():
+            turns = one.value.ndim == 3
+            block = self.known.blocks.get(name) or Block(
+                name, name, "SO3" if turns else "vector", one.value.shape[-1], "1", "-", "1"
+            )
+            values[name] = at_epochs(f"{self.source}: {name}", block, one.t, one.value, t)
+            known = None if one.sigma is None else np.isfinite(one.sigma).all(axis=1)
+            if one.sigma is not None and known is not None and known.any():
+                columns = [np.interp(t, one.t[known], s[known]) for s in one.sigma.T]
+                sigmas[name] = np.column_stack(columns)
+        return Truth(t, values, self.source, sigmas)
+
+
+def _value(motion: Motion, quantity: str, where: str) -> Array:
+    if quantity not in motion.values:
+        there: Sequence[str] = [*motion.values]
+        raise InputError(f"{where}: found {quantity!r}, expected one of {', '.join(there)}")
+    return motion.values[quantity]
