@@ -29,6 +29,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from relnav_graph.constants import VERSION as __version__
+from relnav_graph.core.lent import lend
 
 if TYPE_CHECKING:
     from relnav_graph.core.epochs import make_epochs
@@ -37,8 +38,12 @@ if TYPE_CHECKING:
     from relnav_graph.core.track import Recording, Track, Truth
     from relnav_graph.estimators import run_estimator
     from relnav_graph.estimators.online.driver import online
+    from relnav_graph.io.exports import to_dataframe, to_xarray
+    from relnav_graph.runs.arrays import problem_from_arrays
     from relnav_graph.runs.comparison import Comparison, compare
+    from relnav_graph.runs.frames import problem_from_frames
     from relnav_graph.runs.graph import to_gtsam, to_track
+    from relnav_graph.runs.plotting import plot_track
     from relnav_graph.scenario.build import load_scenario
     from relnav_graph.scenario.scenario import Scenario
 
@@ -57,9 +62,14 @@ __all__ = [
     "load_scenario",
     "make_epochs",
     "online",
+    "plot_track",
+    "problem_from_arrays",
+    "problem_from_frames",
     "run_estimator",
+    "to_dataframe",
     "to_gtsam",
     "to_track",
+    "to_xarray",
 ]
 
 #: Where each of them lives: loaded when first asked for, so that the import itself costs nothing.
@@ -77,9 +87,14 @@ _HOMES = {
     "load_scenario": "scenario.build",
     "make_epochs": "core.epochs",
     "online": "estimators.online.driver",
+    "plot_track": "runs.plotting",
+    "problem_from_arrays": "runs.arrays",
+    "problem_from_frames": "runs.frames",
     "run_estimator": "estimators",
+    "to_dataframe": "io.exports",
     "to_gtsam": "runs.graph",
     "to_track": "runs.graph",
+    "to_xarray": "io.exports",
 }
 
 
@@ -87,6 +102,9 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+lend(__getattr__)
 
 
 def __dir__() -> list[str]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from relnav_graph.core.problem import Problem
+from relnav_graph.core.shown import Shown
 from relnav_graph.core.track import Recording, Track, Truth
 from relnav_graph.estimators import find_estimator, try_estimator
 from relnav_graph.runs.closed_loop import fly_all
@@ -35,8 +36,8 @@ class Estimated:
     tracks: Sequence[Track]
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Shown):
     """Several estimators on one pass, scored.
 
     tracks: one for each estimator, in order; problems and truths: of each track, the same
@@ -48,6 +49,14 @@ class Comparison:
     problems: tuple[Problem, ...]
     truths: tuple[Truth | None, ...]
     summary: dict[str, Any]
+
+    def _shown(self) -> tuple[str, Mapping[str, str]]:
+        rows = {}
+        for name, row in self.summary["estimators"].items():
+            anees, status = row.get("anees"), row["status"]
+            said = "" if anees is None else f", ANEES {anees:.3g}"
+            rows[name] = f"{row['kind']}, {status}{said}"
+        return f"Comparison of {self.summary['scenario']!r}: {self.summary['epochs']} epochs", rows
 
     def track(self, name: str) -> Track:
         """The track of an estimator. Raises KeyError when there is none of that name."""
