@@ -9,15 +9,18 @@ from __future__ import annotations
 import importlib
 import logging
 import pkgutil
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from relnav_graph.errors import ModelError
 
-__all__ = ["classes", "find_class", "provides"]
+__all__ = ["classes", "find_class", "look_beside", "provides"]
 
 
 _LOG = logging.getLogger(__name__)
@@ -82,6 +85,29 @@ def classes(group: str) -> Mapping[str, type[Any]]:
             if other is not cls:
                 raise ModelError(f"kind {cls.kind!r} is defined twice: {other} and {cls}")
     return dict(sorted(found.items()))
+
+
+def look_beside(folder: Path, kinds: Iterable[str]) -> None:
+    """Let modules that kinds name ("module:Class") be found in a folder, where they lie there.
+
+    What can be imported without that goes first, as does what was imported already; a warning says
+    so. The folder stands at the end of the path, so that its other files hide nothing, and worker
+    processes find the same.
+    """
+    for kind in kinds:
+        module = kind.partition(":")[0].partition(".")[0]
+        own = [folder / f"{module}.py", folder / module / "__init__.py"]
+        here = next((path for path in own if ":" in kind and path.is_file()), None)
+        if here is None:
+            continue
+        loaded = sys.modules.get(module)
+        spec = PathFinder.find_spec(module) if loaded is None else loaded.__spec__
+        other = None if spec is None else spec.origin
+        if other is None:
+            sys.path.append(str(folder.resolve()))
+            importlib.invalidate_caches()
+        elif Path(other).resolve() != here.resolve():
+            _LOG.warning(f"{kind}: {other} is taken, not {here}: rename one of them")
 
 
 def find_class(group: str, kind: str) -> type[Any]:

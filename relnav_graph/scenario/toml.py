@@ -11,9 +11,11 @@ from typing import Any
 
 from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
+from relnav_graph.registry import look_beside
 from relnav_graph.scenario.schema import Problems, ScenarioError
 
 __all__ = [
+    "modules_of",
     "override",
     "refuse_modules",
     "strange_values",
@@ -138,7 +140,8 @@ def read_toml(path: Path, of_data: bool = False) -> dict[str, Any]:
     """The tables of a TOML file, over those of the file, or the list of files, that it names as
     `base`, later ones over earlier ones: see `merge`.
 
-    of_data: it lies in a data set. Raises ScenarioError (InputError of data) when a file cannot be
+    of_data: it lies in a data set; else modules that it names ("module:Class") may lie beside it.
+    Raises ScenarioError (InputError of data) when a file cannot be
     read, holds what no scenario may, or is its own base.
     """
     return _read(path, (), [], of_data)
@@ -155,6 +158,8 @@ def _read(path: Path, above: tuple[Path, ...], read: list[Path], of_data: bool) 
         raise ScenarioError(str(path), [("", f"not valid TOML: {error}")]) from error
     if problems := strange_values(raw):
         raise ScenarioError(str(path), problems)
+    if not of_data:
+        look_beside(path.parent, modules_of(raw))
     base, found = raw.pop("base", []), dict[str, Any]()
     above = (*above, path.resolve())
     for i, one in enumerate(base if isinstance(base, list) else [base]):
@@ -215,6 +220,11 @@ def _modules(path: str, found: Any) -> Iterator[tuple[str, str]]:
     elif isinstance(found, list):
         for i, value in enumerate(found):
             yield from _modules(f"{path}[{i}]", value)
+
+
+def modules_of(tables: Mapping[str, Any]) -> list[str]:
+    """What tables name as "module:Class"."""
+    return [name for _, name in _modules("", tables)]
 
 
 def refuse_modules(where: str, tables: Mapping[str, Any]) -> None:
