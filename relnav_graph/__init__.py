@@ -34,6 +34,7 @@ from relnav_graph.core.lent import lend
 if TYPE_CHECKING:
     from relnav_graph.core.epochs import make_epochs
     from relnav_graph.core.measurement import InputSeries, Measurement
+    from relnav_graph.core.numerical import NumericalSensor
     from relnav_graph.core.problem import Prior, Problem
     from relnav_graph.core.track import Recording, Track, Truth
     from relnav_graph.estimators import run_estimator
@@ -51,6 +52,7 @@ __all__ = [
     "Comparison",
     "InputSeries",
     "Measurement",
+    "NumericalSensor",
     "Prior",
     "Problem",
     "Recording",
@@ -77,6 +79,7 @@ _HOMES = {
     "Comparison": "runs.comparison",
     "InputSeries": "core.measurement",
     "Measurement": "core.measurement",
+    "NumericalSensor": "core.numerical",
     "Prior": "core.problem",
     "Problem": "core.problem",
     "Recording": "core.track",

@@ -176,10 +176,9 @@ def read_scenario_of(folder: str | os.PathLike[str], trust: bool = False) -> dic
     """
     path = Path(folder) / "scenario.toml"
     raw = read_toml(path, of_data=True)
-    if trust:
-        look_beside(Path(folder), modules_of(raw))
-    else:
+    if not trust:
         refuse_modules(str(path), raw)
+    look_beside(Path(folder), modules_of(raw))
     return raw
 
 

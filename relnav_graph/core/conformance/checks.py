@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -42,6 +43,12 @@ class Checked:
     faults: list[Fault]
 
 
+def _stream(seed: int, what: str) -> np.random.Generator:
+    """The generator of one check."""
+    key = (zlib.crc32(what.encode()),)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
 def _contract(model: Any, address: Callable[[Any], int] | None) -> list[Fault]:
     """What is wrong with a model before it is called."""
     found = []
@@ -68,7 +75,7 @@ def _contract(model: Any, address: Callable[[Any], int] | None) -> list[Fault]:
 
 def _sensor(example: SensorExample, count: int, seed: int) -> Iterator[Checked]:
     def rng(what: str) -> np.random.Generator:
-        return np.random.default_rng([seed, *what.encode()])
+        return _stream(seed, what)
 
     yield Checked(
         "contract", type(example.model).__name__, _contract(example.model, sensor_address)
@@ -88,16 +95,16 @@ def _sensor(example: SensorExample, count: int, seed: int) -> Iterator[Checked]:
     yield Checked("jacobian", said + ", residuals over 10 sigma in the last", faults)
     moderate = looked.get("moderate", [])
     if moderate:
-        yield Checked("noise", f"{count} states", sensors.noise_faults(example, moderate))
+        yield Checked(
+            "noise", f"{count} states", sensors.noise_faults(example, moderate, rng("noise"))
+        )
 
 
 def _dynamics(example: DynamicsExample, count: int, seed: int) -> Iterator[Checked]:
     model = example.model
     yield Checked("contract", type(model).__name__, _contract(model, dynamics_address))
     given = {
-        regime: dynamics.intervals(
-            example, regime, count, np.random.default_rng([seed, *regime.encode()])
-        )
+        regime: dynamics.intervals(example, regime, count, _stream(seed, regime))
         for regime in REGIMES
     }
     said = f"{count} intervals in each of {', '.join(REGIMES)}"
@@ -114,11 +121,13 @@ def _dynamics(example: DynamicsExample, count: int, seed: int) -> Iterator[Check
     )
 
 
-def derived_faults(example: DerivedExample, regime: str, count: int, seed: Any) -> list[Fault]:
+def derived_faults(
+    example: DerivedExample, regime: str, count: int, rng: np.random.Generator
+) -> list[Fault]:
     """Where the Jacobian of a derived quantity is not what central differences say, at `count`
     states of a regime."""
     model, layout, found = example.model, Layout(example.model.reads), list[Fault]()
-    rng, inputs = np.random.default_rng(seed), sizes(example.model.reads, regime)
+    inputs = sizes(example.model.reads, regime)
     for _ in range(count):
         x = layout.pack({b.name: draw_block(b, rng, regime) for b in layout})
         value, J = model.value(*layout.values(x).values())
@@ -142,7 +151,11 @@ def derived_faults(example: DerivedExample, regime: str, count: int, seed: Any) 
 
 def _derived(example: DerivedExample, count: int, seed: int) -> Iterator[Checked]:
     yield Checked("contract", type(example.model).__name__, _contract(example.model, None))
-    faults = [f for regime in REGIMES for f in derived_faults(example, regime, count, seed)]
+    faults = [
+        f
+        for regime in REGIMES
+        for f in derived_faults(example, regime, count, _stream(seed, regime))
+    ]
     yield Checked("jacobian", f"{count} states in each of {', '.join(REGIMES)}", faults)
 
 

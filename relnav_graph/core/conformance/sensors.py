@@ -100,7 +100,7 @@ def looks(
     for _ in range(tries * count):
         try:
             look = _look(example, regime, rng, FAR)
-        except GeometryError as error:
+        except (GeometryError, InputError) as error:  # such as a distance below zero
             look, reason = None, str(error)
         found += [] if look is None else [look]
         if len(found) == count:
@@ -194,11 +194,12 @@ def jacobian_faults(
     return found[:most]
 
 
-def noise_faults(example: SensorExample, looked: Sequence[Look]) -> list[Fault]:
+def noise_faults(
+    example: SensorExample, looked: Sequence[Look], rng: np.random.Generator
+) -> list[Fault]:
     """Where the noise is no covariance, the sensor's own prediction leaves a residual, or noise
     that is put on it (`perturb`) is not what it declares."""
     model, whitened = example.model, list[Array]()
-    rng = np.random.default_rng(7)
     for look in looked:
         k, values = len(look.m.ids), arguments(model, look.x_true, len(look.m.ids))
         R = model.noise(look.m)
