@@ -47,12 +47,14 @@ if TYPE_CHECKING:
     from relnav_graph.runs.plotting import plot_track
     from relnav_graph.scenario.build import load_scenario
     from relnav_graph.scenario.scenario import Scenario
+    from relnav_graph.streaming.online import Online
 
 __all__ = [
     "Comparison",
     "InputSeries",
     "Measurement",
     "NumericalSensor",
+    "Online",
     "Prior",
     "Problem",
     "Recording",
@@ -80,6 +82,7 @@ _HOMES = {
     "InputSeries": "core.measurement",
     "Measurement": "core.measurement",
     "NumericalSensor": "core.numerical",
+    "Online": "streaming.online",
     "Prior": "core.problem",
     "Problem": "core.problem",
     "Recording": "core.track",

@@ -43,8 +43,8 @@ def problem_from_arrays(
     *,
     processes: Mapping[str, Any],
     sensors: Mapping[str, Any],
-    measurements: Mapping[str, Any],
     prior: Mapping[str, Any],
+    measurements: Mapping[str, Any] | None = None,
     inputs: Mapping[str, Any] | None = None,
     orbit: Mapping[str, Any] | None = None,
     times: Any = None,
@@ -63,7 +63,7 @@ def problem_from_arrays(
     measurements: of each sensor (t, z) or (t, z, ids), or a dict of these names: t (N,), z
     (N, columns) in the units that the sensor's `columns` name, (N,) where there is one; ids (N,),
     which beacon or point a row is of; they may be left out where a sensor sees one thing. In any
-    order.
+    order. Without any, and without times, it is a problem for `relnav_graph.Online`.
 
     inputs: of each input of the processes (edges, values): values (n, channels) are means between
     neighbours of edges (n + 1,); or (t_start, t_end, values), with n each.
@@ -89,7 +89,7 @@ def problem_from_arrays(
     own, known = made["processes"], with_copiers(made["sensors"])
     columns = {name: c for p in own.values() for name, c in p.inputs.items()}
     unpacked: list[_Samples | _Means] = [
-        *(_Samples.of(f"measurements.{n}", n, m, known) for n, m in measurements.items()),
+        *(_Samples.of(f"measurements.{n}", n, m, known) for n, m in (measurements or {}).items()),
         *(_Means.of(f"inputs.{n}", n, u, columns) for n, u in (inputs or {}).items()),
     ]
     stamps = [pair for one in unpacked for pair in one.stamps]
@@ -100,8 +100,6 @@ def problem_from_arrays(
     series = [one.made(start, bridges) for one in unpacked if isinstance(one, _Means)]
     at = None if times is None else seconds("times", times, start)
     epochs = make_epochs(own, seen, {s.name: s for s in series}, at, merge)
-    if not epochs:
-        raise InputError("measurements: found none, expected some, or times of epochs")
     means = _Priors.of(own, known, prior, problems, first_seen(known, seen))
     if problems:
         raise ScenarioError("arrays", problems)
@@ -115,6 +113,8 @@ def problem_from_arrays(
         numbered=means.numbered,
         considered=tuple(considered),
     )
+    if means.measured and not epochs:
+        raise InputError("prior: found 'measured', but no measurements; Online can measure it")
     if means.measured:
         started = initialise(replace(problem, considered=()), means.measured)
         problem = replace(problem, prior=started)
