@@ -41,6 +41,7 @@ def command(file: Path | None, assignments: tuple[str, ...], trust: bool, schema
         _describe(file, opened.scenario, opened.problem.cautions)
     else:
         scenario = load_scenario(file, assignments)
+        scenario.check_truth()
         _describe(file, scenario, scenario.cautions)
 
 

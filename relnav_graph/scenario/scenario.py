@@ -31,8 +31,8 @@ from relnav_graph.scenario.settings import SensorOptions, besides
 from relnav_graph.scenario.true_map import TrueMap
 from relnav_graph.scenario.unit_check import check_step, check_units
 from relnav_graph.sim.contracts import Controller
-from relnav_graph.sim.passes import simulate, with_statics, with_wander
-from relnav_graph.sim.sensors import Timing, measure_all, stream
+from relnav_graph.sim.passes import simulate, true_pass, with_statics, with_wander
+from relnav_graph.sim.sensors import Timing, check_known, measure_all, stream
 from relnav_graph.units import parse_quantity
 
 __all__ = [
@@ -221,6 +221,22 @@ class Scenario(Shown):
         found = simulate(self.truth, self.inputs, *models, *timings, seed, run, self.statics)
         found = replace(found, truth=found.truth and self._scored(found.truth))
         return found.with_lags(self.stamps)
+
+    def check_truth(self) -> None:
+        """Raise InputError, naming each sensor and what it lacks, where the truth of a simulated
+        pass does not give all that the sensors read. Flies the first two epochs."""
+        if self.truth is None or self.file.time.step is None:
+            return
+        sensors, lacking = self.true_sensors, list[str]()
+        given = self.truth, self.inputs, self.processes, sensors, self.times[:2]
+        truth = true_pass(*given, self.file.seed, 0, self.statics)[0]
+        for name, sensor in sensors.items():
+            try:
+                check_known(name, sensor, truth.values)
+            except InputError as error:
+                lacking.append(str(error))
+        if lacking:
+            raise InputError("\n".join(f"{self.name}: {one}" for one in lacking))
 
     def refuse_noise(self) -> None:
         """Raise InputError where a noise is said of a truth that is exact: of a simulated pass."""
