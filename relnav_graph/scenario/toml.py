@@ -13,6 +13,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
 from relnav_graph.registry import look_beside
 from relnav_graph.scenario.schema import Problems, ScenarioError
+from relnav_graph.scenario.shipped import by_name, near
 
 __all__ = [
     "modules_of",
@@ -127,7 +128,9 @@ def _text(path: Path, of_data: bool) -> str:
     except InputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
-        raise cannot(f"cannot be read: {getattr(error, 'strerror', error)}", error) from error
+        missing = near(path) if isinstance(error, FileNotFoundError) and not of_data else ""
+        reason = f"cannot be read: {getattr(error, 'strerror', error)}{missing}"
+        raise cannot(reason, error) from error
     if len(content) > _BYTES:
         raise cannot(f"holds more than {_BYTES} bytes, expected a scenario")
     try:
@@ -137,14 +140,15 @@ def _text(path: Path, of_data: bool) -> str:
 
 
 def read_toml(path: Path, of_data: bool = False) -> dict[str, Any]:
-    """The tables of a TOML file, over those of the file, or the list of files, that it names as
+    """The tables of a TOML file, or of the scenario of that name that comes with the package (a
+    path beats a name), over those of the file, or the list of files, that it names as
     `base`, later ones over earlier ones: see `merge`.
 
     of_data: it lies in a data set; else modules that it names ("module:Class") may lie beside it.
     Raises ScenarioError (InputError of data) when a file cannot be
     read, holds what no scenario may, or is its own base.
     """
-    return _read(path, (), [], of_data)
+    return _read(path if of_data else by_name(path), (), [], of_data)
 
 
 def _read(path: Path, above: tuple[Path, ...], read: list[Path], of_data: bool) -> dict[str, Any]:
