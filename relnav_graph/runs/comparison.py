@@ -125,7 +125,7 @@ def compare(
 ) -> Comparison:
     """Run estimators on a simulated or recorded pass and score them against its truth.
 
-    scenario: one that is loaded, or its file; kinds: of estimators, by default those that the
+    scenario: one that is loaded, its file, or the name of one that comes with the package; kinds: of estimators, by default those that the
     scenario names; seed: root of what is drawn, by default the scenario's; run: number of the
     draw, as in a study; data: a recording, a data-set folder, or a raw folder for the reader
     that the scenario names; without, the pass is simulated, or, where the scenario has a

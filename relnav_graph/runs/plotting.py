@@ -96,6 +96,6 @@ def plot_track(
                 ax.fill_between(t, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
             ax.set_title(_title(name, state.block, what), loc="left")
             ax.margins(x=0)
-            ax.legend(loc="upper right", ncols=3)
+            ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=1)
         panels[-1].set_xlabel(f"time, s ({track.name}, {track.kind}; bands: 3 sigma)")
     return figure
