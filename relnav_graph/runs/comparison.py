@@ -125,11 +125,11 @@ def compare(
 ) -> Comparison:
     """Run estimators on a simulated or recorded pass and score them against its truth.
 
-    scenario: one that is loaded, its file, or the name of one that comes with the package; kinds: of estimators, by default those that the
-    scenario names; seed: root of what is drawn, by default the scenario's; run: number of the
-    draw, as in a study; data: a recording, a data-set folder, or a raw folder for the reader
-    that the scenario names; without, the pass is simulated, or, where the scenario has a
-    controller, flown by each estimator.
+    scenario: one that is loaded, its file, or the name of one that comes with the package; kinds:
+    of estimators, by default those that the scenario names; seed: root of what is drawn, by
+    default the scenario's; run: number of the draw, as in a study; data: a recording, a data-set
+    folder, or a raw folder for the reader that the scenario names; without, the pass is
+    simulated, or, where the scenario has a controller, flown by each estimator.
 
     Raises InputError (ScenarioError for the file) or ModelError on whatever is wrong with any
     of them. An estimator that diverges raises nothing: its track says so.
