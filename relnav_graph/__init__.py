@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from relnav_graph.core.measurement import InputSeries, Measurement
     from relnav_graph.core.numerical import NumericalSensor
     from relnav_graph.core.problem import Prior, Problem
+    from relnav_graph.core.timed import TimedSensor
     from relnav_graph.core.track import Recording, Track, Truth
     from relnav_graph.estimators import run_estimator
     from relnav_graph.estimators.online.driver import online
@@ -59,6 +60,7 @@ __all__ = [
     "Problem",
     "Recording",
     "Scenario",
+    "TimedSensor",
     "Track",
     "Truth",
     "__version__",
@@ -87,6 +89,7 @@ _HOMES = {
     "Problem": "core.problem",
     "Recording": "core.track",
     "Scenario": "scenario.scenario",
+    "TimedSensor": "core.timed",
     "Track": "core.track",
     "Truth": "core.track",
     "compare": "runs.comparison",

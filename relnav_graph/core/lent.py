@@ -37,5 +37,5 @@ class Lent:
         function: Callable[..., Any] = _find(self.name)
         if self.maker or instance is None:
             return function
-        bound: Callable[..., Any] = function.__get__(instance, owner)  # type: ignore[attr-defined]
+        bound: Callable[..., Any] = function.__get__(instance, owner)
         return bound

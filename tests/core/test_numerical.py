@@ -22,6 +22,7 @@ from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.numerical import NumericalSensor
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import Block
+from relnav_graph.core.timed import TimedSensor
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.maths import so3
 from relnav_graph.units import Quantity
@@ -68,6 +69,7 @@ class Ranges(NumericalSensor):
         return np.linalg.norm(r_tc_o - q)
 
 
+RATE = Block("rate", "e", "vector", 1, "m/s", "-", "m/s")
 POINTS = np.array([[2.0, 0, 0], [-2, 0, 1], [0, 2, -1], [0, -2, 0]])
 
 
@@ -153,6 +155,46 @@ def test_a_width_that_is_wrong_is_said() -> None:
         Wide().residual(m, np.eye(3), np.zeros(3))
     with pytest.raises(InputError, match=r"Bearing\.sigma: found -1"):
         Bearing(sigma=-1.0)
+
+
+@dataclass(frozen=True)
+class Drifting(TimedSensor, NumericalSensor):
+    """A ranger whose error grows at a rate that is in the state."""
+
+    kind: ClassVar[str] = "numerical_drifting"
+    columns: ClassVar[tuple[str, ...]] = ("range_m",)
+    blocks: ClassVar[tuple[Block, ...]] = (RELATIVE_POSITION, RATE)
+
+    points: Annotated[Array, Quantity("m", (None, 3))]
+    sigma: Annotated[float, Quantity("m", positive=True)] = 0.01
+
+    def observables(self) -> Indices:
+        return np.arange(len(self.points))
+
+    def data_of(self, ids: Indices) -> Array:
+        return self.points[ids]
+
+    def h(self, q: Array, r_tc_o: Array, rate: Array) -> Any:
+        return np.linalg.norm(r_tc_o - q[:3]) + q[3] * rate[0]
+
+
+def test_a_sensor_that_needs_the_time_gets_it() -> None:
+    """In filter and smoother: the rate is found, and with nothing but its growth."""
+    checked = list(check_example(example_of(Drifting(points=POINTS)), 4))
+    assert not [str(f) for c in checked for f in c.faults]
+    problem = ranged(Ranges(points=POINTS))
+    seen = [replace(m, z=m.z + 3.0 * m.t) for epoch in problem.epochs for m in epoch.measurements]
+    prior = Prior(np.append(problem.prior.x, 0.0), np.diag([*np.diag(problem.prior.P), 100.0]))
+    own, sensors = problem.processes, {"ranges": Drifting(points=POINTS)}
+    timed = Problem(own, sensors, prior, rg.make_epochs(own, seen, {}))
+    for kind in ("iekf", "batch"):
+        track = rg.run_estimator(kind, timed)
+        assert track.status == "ok"
+        rate, sigma = track.value("rate")[-1], track.covariance("rate")[-1] ** 0.5
+        assert abs(rate - 3.0) < 4 * sigma < 0.2
+    residual = Drifting(points=POINTS).residual(seen[-1], np.zeros(3), np.array([1.0]))[0]
+    expected = np.linalg.norm(POINTS, axis=1) + seen[-1].t - seen[-1].z[:, 0]
+    np.testing.assert_allclose(residual, expected)
 
 
 def test_relnav_check_takes_it(capsys: pytest.CaptureFixture[str]) -> None:

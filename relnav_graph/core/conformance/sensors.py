@@ -24,6 +24,8 @@ from relnav_graph.errors import GeometryError, InputError
 
 __all__ = ["Look", "arguments", "jacobian_faults", "looks", "noise_faults", "output_faults"]
 
+#: When they look, s.
+TIME = 1.0
 #: Sigmas that all residuals of "large" exceed.
 FAR = 10.0
 
@@ -66,12 +68,14 @@ def _look(example: SensorExample, regime: str, rng: np.random.Generator, far: fl
     model, layout = example.model, Layout(reads_of(example.model))
     ids = _ids(model, rng)
     x_true = _drawn(example, regime, rng)
-    clean = Measurement("s", 1.0, model.predict(ids, *arguments(model, x_true, len(ids))), ids)
+    clean = Measurement(
+        "s", TIME, model.at(TIME).predict(ids, *arguments(model, x_true, len(ids))), ids
+    )
     R = model.noise(clean)
     for one in R:
         check_covariance("noise", one)
     e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.normal(size=R.shape[:2]))
-    m = Measurement("s", 1.0, model.perturb(clean.z, e), ids)
+    m = Measurement("s", TIME, model.perturb(clean.z, e), ids)
     if regime == "large":
         x = _drawn(example, regime, rng)
     else:
@@ -121,7 +125,7 @@ def _z(model: Any, ids: Indices, x: Array, rng: np.random.Generator) -> Array:
     """Measured values (k, nz) for a kernel of which nothing is known yet."""
     shape = len(ids), len(model.columns)
     makers: list[Callable[[], Array]] = [
-        lambda: model.predict(ids, *arguments(model, x, len(ids))),
+        lambda: model.at(TIME).predict(ids, *arguments(model, x, len(ids))),
         lambda: rng.normal(size=shape),
         lambda: np.tile(np.append(np.zeros(shape[1] - 1), 1.0), (shape[0], 1)),
     ]
@@ -135,7 +139,7 @@ def _z(model: Any, ids: Indices, x: Array, rng: np.random.Generator) -> Array:
 
 def _calls(model: Any, ids: Indices, z: Array, x: Array) -> Iterator[Callable[[float], Any]]:
     """The kernel at a state, of each observation: with outputs that hold a number before."""
-    now = model.at(1.0)
+    now = model.at(TIME)
     p, q = now.constants(), now.observation_data(ids)
     dims = sum(b.dim for b in reads_of(model))
 
@@ -209,8 +213,8 @@ def noise_faults(
         for one in R:
             if fault := covariance_fault("noise", "moderate", one):
                 return [fault]
-        z = model.predict(look.m.ids, *values)
-        r = model.residual(Measurement("s", 1.0, z, look.m.ids), *values)[0]
+        z = model.at(TIME).predict(look.m.ids, *values)
+        r = model.residual(Measurement("s", TIME, z, look.m.ids), *values)[0]
         if np.abs(r).max() > 1e-12 * max(1.0, np.abs(z).max()):
             i = int(np.abs(r).argmax()) % model.rows
             text = f"{_columns(model)[i]}: {r[i]:.3g} against its own prediction, expected 0"
@@ -228,8 +232,8 @@ def noise_faults(
 def scattered(model: Any, z: Array, look: Look, rng: np.random.Generator) -> Array:
     """Whitened residuals (30, rows) of noise put on a prediction z (k, nz) thirty times."""
     ids, values = np.resize(look.m.ids, 30), arguments(model, look.x_true, 30)
-    clean = Measurement("s", 1.0, np.resize(z, (30, z.shape[1])), ids)
+    clean = Measurement("s", TIME, np.resize(z, (30, z.shape[1])), ids)
     L = np.linalg.cholesky(model.noise(clean))
     e = np.einsum("kij,kj->ki", L, rng.normal(size=(30, model.rows)))
-    r = model.residual(Measurement("s", 1.0, model.perturb(clean.z, e), ids), *values)[0]
+    r = model.residual(Measurement("s", TIME, model.perturb(clean.z, e), ids), *values)[0]
     return np.asarray(np.linalg.solve(L, r.reshape(30, model.rows, 1))[..., 0])
