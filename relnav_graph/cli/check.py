@@ -40,8 +40,9 @@ def _checked(example: Example, count: int, seed: int) -> Iterator[Checked]:
     """The checks, ended by what the model raises."""
     try:
         yield from check_example(example, count, seed)
-    except RelnavError as error:
-        raise InputError(f"{type(example.model).__name__}: {error}") from error
+    except Exception as error:  # of a stranger's code
+        what = str(error) if isinstance(error, RelnavError) else f"{type(error).__name__}: {error}"
+        raise InputError(f"{type(example.model).__name__}: raised {what}") from error
 
 
 def _tell(found: Checked) -> None:

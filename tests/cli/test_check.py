@@ -72,6 +72,7 @@ def test_parameters_come_from_a_file_too(capsys: Capture, tmp_path: Path) -> Non
             "sigma: found -1.0 m, expected",
         ),
         (("range",), "(example()|sigma)"),
+        (("third_party:Raises",), "Raises: raised ZeroDivisionError: no such thing"),
     ],
 )
 def test_what_cannot_be_made_is_wrong_input(

@@ -121,6 +121,13 @@ class NoNoise(Bearing):
         return R
 
 
+class Raises(Bearing):
+    kind = "third_party_raises"
+
+    def noise(self, m: Measurement) -> Array:
+        raise ZeroDivisionError("no such thing")
+
+
 class LittleNoise(Bearing):
     kind = "third_party_little_noise"
 

@@ -29,7 +29,7 @@ from relnav_graph.core.conformance.numeric import (
     wrong_entries,
 )
 from relnav_graph.core.state import Layout
-from relnav_graph.errors import InputError, RelnavError
+from relnav_graph.errors import InputError, ModelError, RelnavError
 
 __all__ = ["Checked", "check_example", "derived_faults"]
 
@@ -88,7 +88,7 @@ def _sensor(example: SensorExample, count: int, seed: int) -> Iterator[Checked]:
     for regime in REGIMES:
         try:
             looked[regime] = sensors.looks(example, regime, count, rng(regime))
-        except InputError as error:
+        except (InputError, ModelError) as error:
             faults.append(Fault("look", regime, type(example.model).__name__, str(error)))
     for regime, own in looked.items():
         faults += sensors.jacobian_faults(example, regime, own)

@@ -18,9 +18,8 @@ from relnav_graph.core.conformance.numeric import blocks_of, differences, steps_
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import Outputs
 from relnav_graph.core.numbered import numbered_of
-from relnav_graph.core.problem import check_covariance
 from relnav_graph.core.state import Layout
-from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.errors import GeometryError, InputError, ModelError
 
 __all__ = ["Look", "arguments", "jacobian_faults", "looks", "noise_faults", "output_faults"]
 
@@ -73,7 +72,8 @@ def _look(example: SensorExample, regime: str, rng: np.random.Generator, far: fl
     )
     R = model.noise(clean)
     for one in R:
-        check_covariance("noise", one)
+        if fault := covariance_fault("noise", regime, one):
+            raise ModelError(fault.text)
     e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.normal(size=R.shape[:2]))
     m = Measurement("s", TIME, model.perturb(clean.z, e), ids)
     if regime == "large":
@@ -98,7 +98,8 @@ def looks(
     """Seeded measurements and states. Of "large", residuals exceed 10 sigma, and `least_large`.
 
     tries: for each of them, of a sensor that cannot see everything where it is drawn. Raises
-    InputError, with the reason, where that is not enough, or where the noise is no covariance.
+    InputError, with the reason, where that is not enough, ModelError where the noise is no
+    covariance.
     """
     found, reason = list[Look](), "residuals are never large"
     for _ in range(tries * count):
