@@ -6,13 +6,12 @@ one new file, and a third party's package adds its own without touching this one
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import logging
 import pkgutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -101,7 +100,7 @@ def look_beside(folder: Path, kinds: Iterable[str]) -> None:
         if here is None:
             continue
         loaded = sys.modules.get(module)
-        spec = PathFinder.find_spec(module) if loaded is None else loaded.__spec__
+        spec = importlib.util.find_spec(module) if loaded is None else loaded.__spec__
         other = None if spec is None else spec.origin
         if other is None:
             sys.path.append(str(folder.resolve()))
