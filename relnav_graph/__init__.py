@@ -29,29 +29,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from relnav_graph.constants import VERSION as __version__
+from relnav_graph.core.lent import lend
 
 if TYPE_CHECKING:
     from relnav_graph.core.epochs import make_epochs
     from relnav_graph.core.measurement import InputSeries, Measurement
+    from relnav_graph.core.numerical import NumericalSensor
     from relnav_graph.core.problem import Prior, Problem
+    from relnav_graph.core.timed import TimedSensor
     from relnav_graph.core.track import Recording, Track, Truth
     from relnav_graph.estimators import run_estimator
     from relnav_graph.estimators.online.driver import online
+    from relnav_graph.io.exports import to_dataframe, to_xarray
     from relnav_graph.io.readers import read_raw
     from relnav_graph.io.writers import write_track
+    from relnav_graph.runs.arrays import problem_from_arrays
     from relnav_graph.runs.comparison import Comparison, compare
+    from relnav_graph.runs.frames import problem_from_frames
     from relnav_graph.runs.graph import to_gtsam, to_track
+    from relnav_graph.runs.plotting import plot_track
     from relnav_graph.scenario.build import load_scenario
     from relnav_graph.scenario.scenario import Scenario
+    from relnav_graph.streaming.online import Online
 
 __all__ = [
     "Comparison",
     "InputSeries",
     "Measurement",
+    "NumericalSensor",
+    "Online",
     "Prior",
     "Problem",
     "Recording",
     "Scenario",
+    "TimedSensor",
     "Track",
     "Truth",
     "__version__",
@@ -59,10 +70,15 @@ __all__ = [
     "load_scenario",
     "make_epochs",
     "online",
+    "plot_track",
+    "problem_from_arrays",
+    "problem_from_frames",
     "read_raw",
     "run_estimator",
+    "to_dataframe",
     "to_gtsam",
     "to_track",
+    "to_xarray",
     "write_track",
 ]
 
@@ -71,20 +87,28 @@ _HOMES = {
     "Comparison": "runs.comparison",
     "InputSeries": "core.measurement",
     "Measurement": "core.measurement",
+    "NumericalSensor": "core.numerical",
+    "Online": "streaming.online",
     "Prior": "core.problem",
     "Problem": "core.problem",
     "Recording": "core.track",
     "Scenario": "scenario.scenario",
+    "TimedSensor": "core.timed",
     "Track": "core.track",
     "Truth": "core.track",
     "compare": "runs.comparison",
     "load_scenario": "scenario.build",
     "make_epochs": "core.epochs",
     "online": "estimators.online.driver",
+    "plot_track": "runs.plotting",
+    "problem_from_arrays": "runs.arrays",
+    "problem_from_frames": "runs.frames",
     "read_raw": "io.readers",
     "run_estimator": "estimators",
+    "to_dataframe": "io.exports",
     "to_gtsam": "runs.graph",
     "to_track": "runs.graph",
+    "to_xarray": "io.exports",
     "write_track": "io.writers",
 }
 
@@ -93,6 +117,9 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+lend(__getattr__)
 
 
 def __dir__() -> list[str]:

@@ -7,11 +7,12 @@ truly one new file, and a third party's package adds its own without touching th
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import inspect
 import logging
 import pkgutil
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -24,6 +25,7 @@ __all__ = [
     "classes",
     "find_class",
     "find_function",
+    "look_beside",
     "module_by_suffix",
     "modules",
     "parameters",
@@ -99,6 +101,29 @@ def classes(group: str) -> Mapping[str, type[Any]]:
             if other is not cls:
                 raise ModelError(f"kind {cls.kind!r} is defined twice: {other} and {cls}")
     return dict(sorted(found.items()))
+
+
+def look_beside(folder: Path, kinds: Iterable[str]) -> None:
+    """Let modules that kinds name ("module:Class") be found in a folder, where they lie there.
+
+    What can be imported without that goes first, as does what was imported already; a warning says
+    so. The folder stands at the end of the path, so that its other files hide nothing, and worker
+    processes find the same.
+    """
+    for kind in kinds:
+        module = kind.partition(":")[0].partition(".")[0]
+        own = [folder / f"{module}.py", folder / module / "__init__.py"]
+        here = next((path for path in own if ":" in kind and path.is_file()), None)
+        if here is None:
+            continue
+        loaded = sys.modules.get(module)
+        spec = importlib.util.find_spec(module) if loaded is None else loaded.__spec__
+        other = None if spec is None else spec.origin
+        if other is None:
+            sys.path.append(str(folder.resolve()))
+            importlib.invalidate_caches()
+        elif Path(other).resolve() != here.resolve():
+            _LOG.warning(f"{kind}: {other} is taken, not {here}: rename one of them")
 
 
 def find_class(group: str, kind: str) -> type[Any]:

@@ -14,6 +14,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.io.readers import readers
 from relnav_graph.io.writers import writers
 from relnav_graph.registry import classes, provides
+from relnav_graph.scenario.shipped import shipped
 from relnav_graph.scenario.toml import read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
 
@@ -31,9 +32,12 @@ def _section(title: str, rows: dict[str, str]) -> None:
 
 
 @click.command("list")
-@click.argument("folder", type=click.Path(path_type=Path), default=Path("experiments"))
-def command(folder: Path) -> None:
-    """List models, estimators, truths, readers, writers, and the scenarios in FOLDER."""
+@click.argument("folder", type=click.Path(path_type=Path), required=False)
+def command(folder: Path | None) -> None:
+    """List models, estimators, truths, readers, writers, and the scenarios in FOLDER.
+
+    Without one, the scenarios that come with the package, which every command finds by name.
+    """
     found = classes(models.ENTRY_POINTS)
     for title, contract in (
         ("Sensors", Sensor),
@@ -45,10 +49,11 @@ def command(folder: Path) -> None:
         _section(title, {k: _first_line(c) for k, c in classes(group).items()})
     _section("Readers of recorded data", dict.fromkeys(readers(), ""))
     _section("Writers of tracks", dict.fromkeys(writers(), ""))
+    files = shipped() if folder is None else {str(p): p for p in sorted(folder.glob("*.toml"))}
     scenarios = {}
-    for path in sorted(folder.glob("*.toml")):
+    for name, path in files.items():
         try:
-            scenarios[str(path)] = str(read_toml(path).get("title", ""))
+            scenarios[name] = str(read_toml(path).get("title", ""))
         except InputError as error:
-            scenarios[str(path)] = str(error).replace("\n", " ")
-    _section(f"Scenarios in {folder}", scenarios)
+            scenarios[name] = str(error).replace("\n", " ")
+    _section("Scenarios, by name" if folder is None else f"Scenarios in {folder}", scenarios)

@@ -27,6 +27,7 @@ COMMANDS = {
     "report": "Write one HTML file on a study or a comparison.",
     "calibrate": "Find how sensors are mounted, and how late inputs are.",
     "validate": "Check a scenario or a data set: every error, with its path.",
+    "check": "Check that a model, yours or one of ours, keeps its contract.",
     "list": "List models, estimators, truths, readers and scenarios.",
     "convert": "Convert between data folders, data sets and results.",
 }

@@ -44,6 +44,7 @@ def command(file: Path | None, assignments: tuple[str, ...], trust: bool, schema
         _describe(file, opened.scenario, opened.problem.cautions)
     else:
         scenario = _scenario(file, assignments)
+        scenario.check_truth()
         _describe(file, scenario, scenario.cautions)
 
 

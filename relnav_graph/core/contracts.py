@@ -20,6 +20,7 @@ from relnav_graph.maths.orbit import KeplerOrbit
 
 __all__ = [
     "Ambiguous",
+    "BringsTruth",
     "CopiesBlocks",
     "Derived",
     "Drifts",
@@ -337,6 +338,16 @@ class Wanders(Protocol):
     def wandering(self, times: Array, rng: np.random.Generator) -> dict[str, Array]:
         """True values (N, dim) of what it advances, at `times` (N,), s, by name, SI: drawn as it
         goes on, not as it begins."""
+
+
+@runtime_checkable
+class BringsTruth(Protocol):
+    """A sensor that brings the truth of what it alone knows of, such as how far its clock is off:
+    blocks that it reads, and that a simulated truth may lack."""
+
+    def own_truth(self, times: Array, rng: np.random.Generator) -> Mapping[str, Array]:
+        """True values (N, dim), (N, 3, 3) or, of what is constant, (dim,) or (3, 3), at `times`
+        (N,), s, by name of the block, SI."""
 
 
 @runtime_checkable

@@ -25,6 +25,7 @@ from relnav_graph.units import check_fields
 __all__ = [
     "DerivedQuantity",
     "DynamicsModel",
+    "Outputs",
     "SensorModel",
     "derived_quantities",
 ]
@@ -79,10 +80,13 @@ def check_inputs(where: str, process: Any, u: Any, spreads: bool = False) -> Arr
     return array
 
 
-class _Outputs:
-    """Arrays for a kernel to fill, with guard numbers around them that show an overrun."""
+class Outputs:
+    """Arrays for a kernel to fill, with guard numbers around them that show an overrun.
 
-    def __init__(self, kind: str, **shapes: tuple[int, ...]) -> None:
+    fill: what they hold before: NaN, so that what was forgotten is seen.
+    """
+
+    def __init__(self, kind: str, fill: float = np.nan, **shapes: tuple[int, ...]) -> None:
         self.kind, self.shapes = kind, shapes
         sizes = {name: int(np.prod(shape)) for name, shape in shapes.items()}
         self._buffers = {name: np.full(n + 2 * GUARD, MARK) for name, n in sizes.items()}
@@ -90,17 +94,26 @@ class _Outputs:
             self._buffers[name][GUARD:-GUARD].reshape(shape) for name, shape in shapes.items()
         ]
         for array in self.arrays:
-            array[...] = np.nan
+            array[...] = fill
+
+    @property
+    def overrun(self) -> list[str]:
+        """Names of the arrays that the kernel wrote past."""
+        ends = {name: (b[:GUARD], b[-GUARD:]) for name, b in self._buffers.items()}
+        return [name for name, both in ends.items() if any((end != MARK).any() for end in both)]
+
+    @property
+    def unfilled(self) -> list[tuple[str, tuple[int, ...]]]:
+        """Entries that are not finite: array and place."""
+        named = zip(self.shapes, self.arrays, strict=True)
+        return [(n, tuple(at)) for n, a in named for at in np.argwhere(~np.isfinite(a)).tolist()]
 
     def check(self) -> None:
         """Raise ModelError when the kernel left an entry unfilled or wrote past an array."""
-        for name, array in zip(self.shapes, self.arrays, strict=True):
-            buffer = self._buffers[name]
-            if (buffer[:GUARD] != MARK).any() or (buffer[-GUARD:] != MARK).any():
-                raise ModelError(f"{self.kind}: the kernel wrote past its arrays, at {name}")
-            if not np.isfinite(array).all():
-                at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-                raise ModelError(f"{self.kind}: the kernel left {name}{list(at)} unfilled")
+        for name in self.overrun:
+            raise ModelError(f"{self.kind}: the kernel wrote past its arrays, at {name}")
+        for name, at in self.unfilled:
+            raise ModelError(f"{self.kind}: the kernel left {name}{list(at)} unfilled")
 
 
 class SensorModel:
@@ -201,7 +214,7 @@ class SensorModel:
         for k in range(len(z)):
             if own is not None:
                 packed[shared:] = x[-1][k]
-            outputs = _Outputs(self.kind, r=r[k].shape, H=jacobian[k].shape)
+            outputs = Outputs(self.kind, r=r[k].shape, H=jacobian[k].shape)
             status = self.kernel(p, q[k], z[k], packed, *outputs.arrays)
             if status:
                 at = f"{self.kind}: id {ids[k]} {where}".rstrip()
@@ -259,7 +272,7 @@ class DynamicsModel:
         packed = _pack(self.advances + self.reads, x, self.kind)
         n = sum(b.dim for b in self.advances)
         size, width = sum(b.size for b in self.advances), n + sum(b.dim for b in self.reads)
-        outputs = _Outputs(self.kind, x_next=(size,), F=(n, width), Q=(n, n))
+        outputs = Outputs(self.kind, x_next=(size,), F=(n, width), Q=(n, n))
         x_next, F, Q = outputs.arrays
         u = check_inputs(self.kind, self, u)
         status = self.kernel(self.constants(), float(t), u, packed, x_next, F, Q)

@@ -23,8 +23,10 @@ from relnav_graph.core.cautions import (
 from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
 from relnav_graph.core.copies import copied
 from relnav_graph.core.epochs import Epoch, check_epoch
+from relnav_graph.core.lent import Lent
 from relnav_graph.core.measurement import SAME_TIME, Bridge, Stamps
 from relnav_graph.core.numbered import families, first_seen
+from relnav_graph.core.shown import Shown, listed, span
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.files import check_name
@@ -74,9 +76,10 @@ def check_covariance(where: str, P: Array) -> None:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Models, prior and data of one pass.
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Shown):
+    """Models, prior and data of one pass. `Problem.from_arrays` and `Problem.from_frames` make one
+    of arrays and of data frames.
 
     processes, sensors: models by name; gates: probability of the chi-square gate by
     sensor, where one is asked for; losses: robust ones, likewise; window: of a
@@ -112,6 +115,20 @@ class Problem:
     known: tuple[Block, ...] = ()
     considered: tuple[str, ...] = ()
     layout: Layout = field(init=False)
+
+    from_arrays = Lent("problem_from_arrays", maker=True)
+    from_frames = Lent("problem_from_frames", maker=True)
+
+    def _shown(self) -> tuple[str, Mapping[str, str]]:
+        seen = dict.fromkeys(self.sensors, 0)
+        for m in (m for epoch in self.epochs for m in epoch.measurements):
+            seen[m.sensor] += len(m.ids)
+        rows = {
+            "processes": listed(f"{n} ({p.kind})" for n, p in self.processes.items()),
+            "sensors": listed(f"{n} ({s.kind}, {seen[n]})" for n, s in self.sensors.items()),
+            "state": listed(f"{b.name} {b.symbol}" for b in self.layout),
+        }
+        return f"Problem: {span(self.times)}, {self.layout.dim} error states", rows
 
     def __post_init__(self) -> None:
         for name in ("processes", "sensors", "gates", "losses", "bridges", "stamps", "numbered"):

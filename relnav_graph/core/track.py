@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.cautions import Caution
+from relnav_graph.core.lent import Lent
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement, Stamps
+from relnav_graph.core.shown import Shown, listed, span
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.maths.instants import Instant
 
@@ -83,9 +85,10 @@ class Statics:
     cross: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
-    """Estimates over a pass.
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Shown):
+    """Estimates over a pass. `to_xarray`, `to_dataframe` and `plot` give them with all that is
+    derived of them (`relnav_graph.io.exports`).
 
     kind: what each epoch's estimate has seen: the past (filtered), a little of the future
     (fixed-lag), everything (smoothed). t (N,) s; x (N, size) stored vectors; P (N, dim,
@@ -123,6 +126,22 @@ class Track:
     cautions: tuple[Caution, ...] = ()
     statics: Statics | None = None
     extra: Mapping[int, tuple[Any, Array]] = field(default_factory=dict)
+
+    to_xarray = Lent("to_xarray")
+    to_dataframe = Lent("to_dataframe")
+    plot = Lent("plot_track")
+
+    def _shown(self) -> tuple[str, Mapping[str, str]]:
+        rows = {"status": self.status + (f": {self.message}" if self.message else "")}
+        for block in [b for b in self.blocks if b.number is None][:8] if len(self.t) else ():
+            sigma = np.sqrt(np.trace(self.covariance(block.name)[-1])) * block.table_scale
+            at_end = f"1-sigma {sigma:.3g} {block.table_unit} at the end"
+            rows[block.name] = f"{block.symbol}, {at_end}"
+        if len(self.blocks) > len(rows) - 1:
+            rows["and"] = listed([b.name for b in self.blocks if b.name not in rows], 3)
+        if self.rejected and any(self.rejected.values()):
+            rows["not used"] = listed(f"{n}: {k}" for n, k in self.rejected.items())
+        return f"Track {self.name!r} ({self.kind}): {span(self.t)}", rows
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -193,8 +212,8 @@ def at_all_times(value: Array, count: int) -> Array:
     return np.tile(value, (count, *[1] * value.ndim))
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth(Shown):
     """True values of blocks (and of derived quantities) at times t (N,).
 
     values: by name, (N, 3, 3) or (N, dim), SI, in the block's frame, NaN where not known;
@@ -209,6 +228,10 @@ class Truth:
     values: Mapping[str, Array]
     source: str = ""
     sigmas: Mapping[str, Array] = field(default_factory=dict)
+
+    def _shown(self) -> tuple[str, Mapping[str, str]]:
+        known = {"values": listed(self.values), "source": self.source or "not said"}
+        return f"Truth: {span(self.t)}", known
 
     def at(self, times: Array) -> tuple[Indices, NDArray[np.bool_]]:
         """Rows (M,) of the truth that are nearest to `times` (M,), s; and a mask (M,): which of
@@ -240,8 +263,8 @@ class Truth:
         return replace(self, t=t[order], values=values, sigmas=sigmas)
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Shown):
     """Measurements, inputs and, where known, truth.
 
     times: epochs to estimate at, s (N,); every measurement falls on one of them. Inertial axes are
@@ -255,6 +278,18 @@ class Recording:
     inputs: Mapping[str, InputSeries] = field(default_factory=dict)
     truth: Truth | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def _shown(self) -> tuple[str, Mapping[str, str]]:
+        seen: dict[str, int] = {}
+        for m in self.measurements:
+            seen[m.sensor] = seen.get(m.sensor, 0) + len(m.ids)
+        inputs = (f"{name}: {len(s.t_start)} samples" for name, s in self.inputs.items())
+        rows = {
+            "measurements": listed(f"{name}: {count}" for name, count in seen.items()),
+            "inputs": listed(inputs),
+            "truth": "none" if self.truth is None else listed(self.truth.values),
+        }
+        return f"Recording: {span(self.times)}", rows
 
     @property
     def misassociated(self) -> frozenset[tuple[str, float, int]]:

@@ -67,8 +67,9 @@ from relnav_graph.io.tabular import (
     write_table,
 )
 from relnav_graph.io.truth import read_truth
+from relnav_graph.registry import look_beside
 from relnav_graph.scenario.toml import merge as joined
-from relnav_graph.scenario.toml import read_toml, refuse_modules
+from relnav_graph.scenario.toml import modules_of, read_toml, refuse_modules
 
 __all__ = [
     "Format",
@@ -123,6 +124,7 @@ def read_scenario_of(folder: str | os.PathLike[str], trust: bool = False) -> dic
     raw = read_toml(path, of_data=True)
     if not trust:
         refuse_modules(str(path), raw)
+    look_beside(Path(folder), modules_of(raw))
     return raw
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from relnav_graph.core.problem import Problem
+from relnav_graph.core.shown import Shown
 from relnav_graph.core.track import Recording, Track, Truth
 from relnav_graph.estimators import find_estimator, try_estimator
 from relnav_graph.runs.closed_loop import fly_all
@@ -35,8 +36,8 @@ class Estimated:
     tracks: Sequence[Track]
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Shown):
     """Several estimators on one pass, scored.
 
     tracks: one for each estimator, in order; problems and truths: of each track, the same
@@ -48,6 +49,14 @@ class Comparison:
     problems: tuple[Problem, ...]
     truths: tuple[Truth | None, ...]
     summary: dict[str, Any]
+
+    def _shown(self) -> tuple[str, Mapping[str, str]]:
+        rows = {}
+        for name, row in self.summary["estimators"].items():
+            anees, status = row.get("anees"), row["status"]
+            said = "" if anees is None else f", ANEES {anees:.3g}"
+            rows[name] = f"{row['kind']}, {status}{said}"
+        return f"Comparison of {self.summary['scenario']!r}: {self.summary['epochs']} epochs", rows
 
     def track(self, name: str) -> Track:
         """The track of an estimator. Raises KeyError when there is none of that name."""
@@ -116,11 +125,11 @@ def compare(
 ) -> Comparison:
     """Run estimators on a simulated or recorded pass and score them against its truth.
 
-    scenario: one that is loaded, or its file; kinds: of estimators, by default those that the
-    scenario names; seed: root of what is drawn, by default the scenario's; run: number of the
-    draw, as in a study; data: a recording, a data-set folder, or a raw folder for the reader
-    that the scenario names; without, the pass is simulated, or, where the scenario has a
-    controller, flown by each estimator.
+    scenario: one that is loaded, its file, or the name of one that comes with the package; kinds:
+    of estimators, by default those that the scenario names; seed: root of what is drawn, by
+    default the scenario's; run: number of the draw, as in a study; data: a recording, a data-set
+    folder, or a raw folder for the reader that the scenario names; without, the pass is
+    simulated, or, where the scenario has a controller, flown by each estimator.
 
     Raises InputError (ScenarioError for the file) or ModelError on whatever is wrong with any
     of them. An estimator that diverges raises nothing: its track says so.

@@ -335,6 +335,9 @@ def load_scenario(
     assignments: Sequence[str] = (),
     settings: Mapping[str, Any] | None = None,
 ) -> Scenario:
-    """The scenario in a TOML file. Raises ScenarioError, or InputError on an assignment."""
+    """The scenario in a TOML file, or of that name in the package; a path beats a name.
+
+    Raises ScenarioError, or InputError on an assignment.
+    """
     path = Path(path)
     return make_scenario(override(read_toml(path), assignments), path.stem, settings)

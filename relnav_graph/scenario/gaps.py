@@ -13,14 +13,14 @@ from relnav_graph.scenario.schema import Problems, ScenarioFile
 from relnav_graph.scenario.settings import GapSettings
 from relnav_graph.units import Quantity, column_unit, parse_quantity
 
-__all__ = ["check_stamps", "make_bridges"]
+__all__ = ["bridge_of", "check_stamps", "make_bridges"]
 
 #: How far an input may have gone from its last mean, where the scenario does not say: of a craft
 #: that turns steadily and coasts.
 SPREADS = {"rad/s": "0.1 deg/s", "m/s^2": "0.01 m/s^2", "m/s": "0.1 m/s"}
 
 
-def _bridge(columns: tuple[str, ...], own: GapSettings) -> Bridge | None:
+def bridge_of(columns: tuple[str, ...], own: GapSettings) -> Bridge | None:
     """How one input is bridged; None where nobody says how far it may go.
 
     Raises InputError on a spread in another unit, or below zero.
@@ -49,7 +49,7 @@ def make_bridges(
     found = {}
     for name, columns in inputs.items():
         try:
-            bridge = _bridge(columns, file.gaps.get(name, GapSettings()))
+            bridge = bridge_of(columns, file.gaps.get(name, GapSettings()))
         except InputError as error:
             problems.append((f"gaps.{name}.spread", str(error)))
             continue

@@ -17,7 +17,14 @@ from relnav_graph.scenario.schema import Problems, ScenarioFile
 from relnav_graph.scenario.settings import BlockPrior
 from relnav_graph.units import Quantity
 
-__all__ = ["check_prior", "make_prior", "numbered_priors", "prior_sigma", "true_statics"]
+__all__ = [
+    "check_prior",
+    "make_prior",
+    "numbered_priors",
+    "prior_mean",
+    "prior_sigma",
+    "true_statics",
+]
 
 
 def prior_sigma(block: Block, value: Any) -> Array:
@@ -34,7 +41,9 @@ def prior_sigma(block: Block, value: Any) -> Array:
     return np.asarray(sigma)
 
 
-def _prior_mean(block: Block, value: list[Any]) -> Array:
+def prior_mean(block: Block, value: list[Any]) -> Array:
+    """The value of a block, (3, 3) or (dim,), SI, that a prior gives as a quaternion, scalar first,
+    a rotation vector, or components, with units or in SI. Raises InputError on what is none."""
     if block.manifold == "SO3" and len(value) == 4:
         q_wxyz = np.array(Quantity("1", (4,)).parse(value))
         if abs(np.linalg.norm(q_wxyz) - 1) > UNIT_QUATERNION:
@@ -77,7 +86,7 @@ def check_prior(
             problems.append((f"prior.{block.name}.sigma", str(error)))
         try:
             if isinstance(prior.mean, list):
-                _prior_mean(block, prior.mean)
+                prior_mean(block, prior.mean)
         except InputError as error:
             problems.append((f"prior.{block.name}.mean", str(error)))
 
@@ -90,7 +99,7 @@ def numbered_priors(
     out = {}
     for name, block in numbered.items():
         mean = priors[name].mean
-        x = _prior_mean(block, mean) if isinstance(mean, list) else np.zeros(block.size)
+        x = prior_mean(block, mean) if isinstance(mean, list) else np.zeros(block.size)
         out[name] = Prior(x, np.diag(prior_sigma(block, priors[name].sigma) ** 2))
     return out
 
@@ -107,7 +116,7 @@ def true_statics(layout: Layout, tables: Any, problems: Problems) -> dict[str, A
         path = f"truth.statics.{name}"
         if name in statics and isinstance(value, list):
             try:
-                found[name] = _prior_mean(statics[name], value)
+                found[name] = prior_mean(statics[name], value)
             except InputError as error:
                 problems.append((path, str(error)))
         elif name in statics:
@@ -139,7 +148,7 @@ def make_prior(
         prior = priors[block.family]
         mean = prior.mean
         if isinstance(mean, list):
-            means[block.name] = _prior_mean(block, mean)
+            means[block.name] = prior_mean(block, mean)
             draw[layout.tangent(block.name)] = 0.0
             continue
         default = block.number is not None and "mean" not in prior.model_fields_set

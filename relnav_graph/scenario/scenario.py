@@ -19,20 +19,20 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.numbered import families, first_seen, number_in
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.scored import Scored
+from relnav_graph.core.shown import Shown, listed
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.linear.assembly import Assembly
 from relnav_graph.maths.losses import Loss
 from relnav_graph.scenario.first_estimate import initialise
 from relnav_graph.scenario.priors import make_prior, numbered_priors
 from relnav_graph.scenario.schema import ScenarioFile
 from relnav_graph.scenario.settings import SensorOptions, besides
 from relnav_graph.scenario.true_map import TrueMap
-from relnav_graph.scenario.unit_check import check_step, wrong_input, wrong_unit
+from relnav_graph.scenario.unit_check import check_step, check_units
 from relnav_graph.sim.contracts import Controller
-from relnav_graph.sim.passes import simulate, with_statics, with_wander
-from relnav_graph.sim.sensors import Timing, measure_all, stream
+from relnav_graph.sim.passes import simulate, true_pass, with_statics, with_wander
+from relnav_graph.sim.sensors import Timing, check_known, measure_all, stream
 from relnav_graph.units import parse_quantity
 
 __all__ = [
@@ -51,8 +51,8 @@ def freed(sensors: Mapping[str, Sensor]) -> dict[str, Sensor]:
     return {name: s.freed() if isinstance(s, Mountable) else s for name, s in sensors.items()}
 
 
-@dataclass(frozen=True, eq=False)
-class Scenario:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scenario(Shown):
     """A checked scenario: settings and models, ready to meet simulated or recorded data.
 
     statics: true values of static blocks that the truth does not give itself, (3, 3) or (dim,), SI.
@@ -76,6 +76,16 @@ class Scenario:
     map: TrueMap | None = None
     scored: Scored = field(default_factory=Scored)
     truth_noise: Mapping[str, Array] = field(default_factory=dict)
+
+    def _shown(self) -> tuple[str, Mapping[str, str]]:
+        rows = {
+            "processes": listed(f"{n} ({p.kind})" for n, p in self.processes.items()),
+            "sensors": listed(f"{n} ({s.kind})" for n, s in self.sensors.items()),
+            "state": listed(f"{b.name} {b.symbol}" for b in self.layout),
+            "truth": "none" if self.truth is None else str(self.truth.kind),
+            "estimators": listed(self.file.estimators),
+        }
+        return f"Scenario {self.name!r}: {self.file.title}", rows
 
     @property
     def derived(self) -> list[Derived]:
@@ -212,6 +222,22 @@ class Scenario:
         found = replace(found, truth=found.truth and self._scored(found.truth))
         return found.with_lags(self.stamps)
 
+    def check_truth(self) -> None:
+        """Raise InputError, naming each sensor and what it lacks, where the truth of a simulated
+        pass does not give all that the sensors read. Flies the first two epochs."""
+        if self.truth is None or self.file.time.step is None:
+            return
+        sensors, lacking = self.true_sensors, list[str]()
+        given = self.truth, self.inputs, self.processes, sensors, self.times[:2]
+        truth = true_pass(*given, self.file.seed, 0, self.statics)[0]
+        for name, sensor in sensors.items():
+            try:
+                check_known(name, sensor, truth.values)
+            except InputError as error:
+                lacking.append(str(error))
+        if lacking:
+            raise InputError("\n".join(f"{self.name}: {one}" for one in lacking))
+
     def refuse_noise(self) -> None:
         """Raise InputError where a noise is said of a truth that is exact: of a simulated pass."""
         if self.truth_noise:
@@ -280,33 +306,8 @@ class Scenario:
         if self.measured:
             started = initialise(replace(problem, considered=()), self.measured)
             problem = replace(problem, prior=started)
-        prior = problem.prior
-        for m in epochs[0].measurements:
-            reason = wrong_unit(self.sensors[m.sensor], m, problem.layout, prior.x, prior.P)
-            if reason is not None:
-                raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")
-        self._check_inputs(problem)
+        check_units(problem)
         return problem
-
-    def _check_inputs(self, problem: Problem) -> None:
-        """Raise InputError when the first measurements after the inputs began fit with inputs in
-        another unit only."""
-        before, after = (e.t for e in problem.epochs[:-1]), problem.epochs[1:]
-        x, P = problem.prior.x, problem.prior.P
-        for t, epoch in zip(before, after, strict=True) if self.input_columns else ():
-
-            def predict(
-                u: Mapping[str, Array], t0: float = t, t1: float = epoch.t, at: Any = (x, P)
-            ) -> tuple[Array, Array]:
-                ahead = [Epoch(t1, (), u)]
-                return Assembly(problem.layout, self.processes, {}, ahead, t0).predict(*at)
-
-            if epoch.measurements:
-                reason = wrong_input(problem, epoch.measurements, epoch.inputs, predict)
-                if reason:
-                    raise InputError(f"from t = {t} s to {epoch.t} s: {reason}")
-                return
-            x, P = predict(epoch.inputs)
 
     def problem_at(self, prior: Prior, epochs: Sequence[Epoch] = ()) -> Problem:
         """The problem with a given prior; without epochs, one to be driven online."""

@@ -11,9 +11,12 @@ from typing import Any
 
 from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
+from relnav_graph.registry import look_beside
 from relnav_graph.scenario.schema import Problems, ScenarioError
+from relnav_graph.scenario.shipped import by_name, near
 
 __all__ = [
+    "modules_of",
     "override",
     "refuse_modules",
     "strange_values",
@@ -125,7 +128,9 @@ def _text(path: Path, of_data: bool) -> str:
     except InputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
-        raise cannot(f"cannot be read: {getattr(error, 'strerror', error)}", error) from error
+        missing = near(path) if isinstance(error, FileNotFoundError) and not of_data else ""
+        reason = f"cannot be read: {getattr(error, 'strerror', error)}{missing}"
+        raise cannot(reason, error) from error
     if len(content) > _BYTES:
         raise cannot(f"holds more than {_BYTES} bytes, expected a scenario")
     try:
@@ -135,13 +140,15 @@ def _text(path: Path, of_data: bool) -> str:
 
 
 def read_toml(path: Path, of_data: bool = False) -> dict[str, Any]:
-    """The tables of a TOML file, over those of the file, or the list of files, that it names as
+    """The tables of a TOML file, or of the scenario of that name that comes with the package (a
+    path beats a name), over those of the file, or the list of files, that it names as
     `base`, later ones over earlier ones: see `merge`.
 
-    of_data: it lies in a data set. Raises ScenarioError (InputError of data) when a file cannot be
+    of_data: it lies in a data set; else modules that it names ("module:Class") may lie beside it.
+    Raises ScenarioError (InputError of data) when a file cannot be
     read, holds what no scenario may, or is its own base.
     """
-    return _read(path, (), [], of_data)
+    return _read(path if of_data else by_name(path), (), [], of_data)
 
 
 def _read(path: Path, above: tuple[Path, ...], read: list[Path], of_data: bool) -> dict[str, Any]:
@@ -155,6 +162,8 @@ def _read(path: Path, above: tuple[Path, ...], read: list[Path], of_data: bool) 
         raise ScenarioError(str(path), [("", f"not valid TOML: {error}")]) from error
     if problems := strange_values(raw):
         raise ScenarioError(str(path), problems)
+    if not of_data:
+        look_beside(path.parent, modules_of(raw))
     base, found = raw.pop("base", []), dict[str, Any]()
     above = (*above, path.resolve())
     for i, one in enumerate(base if isinstance(base, list) else [base]):
@@ -215,6 +224,11 @@ def _modules(path: str, found: Any) -> Iterator[tuple[str, str]]:
     elif isinstance(found, list):
         for i, value in enumerate(found):
             yield from _modules(f"{path}[{i}]", value)
+
+
+def modules_of(tables: Mapping[str, Any]) -> list[str]:
+    """What tables name as "module:Class"."""
+    return [name for _, name in _modules("", tables)]
 
 
 def refuse_modules(where: str, tables: Mapping[str, Any]) -> None:

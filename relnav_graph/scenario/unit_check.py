@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
@@ -25,7 +27,7 @@ from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.whitening import measurement_noise
 from relnav_graph.units import column_unit, unit_scale
 
-__all__ = ["check_step", "wrong_input", "wrong_unit"]
+__all__ = ["check_step", "check_units", "wrong_input", "wrong_unit"]
 
 #: Units that people mean, by the SI unit that the name of a column says.
 _MEANT = {
@@ -175,6 +177,32 @@ def _scaled(
             at += len(columns)
         out[key] = u * factors
     return out
+
+
+def check_units(problem: Problem) -> None:
+    """Raise InputError when the first measurements of a problem fit its prior in another unit only,
+    or those after the inputs began with inputs in another unit only."""
+    x, P = problem.prior.x, problem.prior.P
+    for m in problem.epochs[0].measurements if problem.epochs else ():
+        reason = wrong_unit(problem.sensors[m.sensor], m, problem.layout, x, P)
+        if reason is not None:
+            raise InputError(f"sensor {m.sensor!r} at t = {m.t} s: {reason}")
+    driven = any(p.inputs for p in problem.processes.values())
+    for before, epoch in pairwise(problem.epochs) if driven else ():
+        t = before.t
+
+        def predict(
+            u: Mapping[str, Array], t0: float = t, t1: float = epoch.t, at: Any = (x, P)
+        ) -> tuple[Array, Array]:
+            ahead = [Epoch(t1, (), u)]
+            return Assembly(problem.layout, problem.processes, {}, ahead, t0).predict(*at)
+
+        if epoch.measurements:
+            reason = wrong_input(problem, epoch.measurements, epoch.inputs, predict)
+            if reason:
+                raise InputError(f"from t = {t} s to {epoch.t} s: {reason}")
+            return
+        x, P = predict(epoch.inputs)
 
 
 def check_step(times: Array, step: float | None) -> None:

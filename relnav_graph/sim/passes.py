@@ -10,7 +10,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.catalogue import DRIFTS
-from relnav_graph.core.contracts import Dynamics, Sensor, Wanders
+from relnav_graph.core.contracts import BringsTruth, Dynamics, Sensor, Wanders
 from relnav_graph.core.copies import with_true_copies
 from relnav_graph.core.measurement import SAME_TIME, InputSeries
 from relnav_graph.core.problem import layout_of
@@ -31,6 +31,7 @@ from relnav_graph.sim.sensors import Timing, measure_all, stream
 __all__ = [
     "biases_as_in",
     "simulate",
+    "true_pass",
     "with_statics",
     "with_wander",
 ]
@@ -98,6 +99,27 @@ def with_statics(truth: Truth, statics: Mapping[str, Array]) -> Truth:
     return replace(truth, values={**truth.values, **tiled})
 
 
+def _with_brought(truth: Truth, sensors: Mapping[str, Sensor], seed: int, run: int) -> Truth:
+    """A truth with what it lacks and sensors bring. Raises InputError on values of another form."""
+    values, source = dict(truth.values), truth.source
+    for name, sensor in sensors.items():
+        lacking = {b.name: b for b in sensor.reads if b.name not in values}
+        if not lacking or not isinstance(sensor, BringsTruth):
+            continue
+        own = sensor.own_truth(truth.t, stream(seed, run, f"truth of {name}"))
+        for key, block in lacking.items():
+            if key not in own:
+                continue
+            shape, value = block.unpack(np.zeros(block.size)).shape, np.asarray(own[key], float)
+            if value.shape == shape:
+                value = at_all_times(value, len(truth.t))
+            if value.shape != (len(truth.t), *shape):
+                found = f"found {value.shape}, expected {(len(truth.t), *shape)} or {shape}"
+                raise InputError(f"sensor {name!r}: own_truth of {key}: {found}")
+            values[key], source = value, f"{source}; {key}: that of sensor {name!r}"
+    return replace(truth, values=values, source=source)
+
+
 def with_wander(
     truth: Truth,
     processes: Mapping[str, Dynamics],
@@ -105,8 +127,9 @@ def with_wander(
     seed: int,
     run: int = 0,
 ) -> Truth:
-    """A truth with what it lacks of the biases that sensors read, drawn from their own processes,
-    each with a stream of its own; its source says so."""
+    """A truth with what it lacks of what sensors read, where a sensor brings it itself, or else a
+    process can draw it, as that of a bias, each with a stream of its own; its source says so."""
+    truth = _with_brought(truth, sensors, seed, run)
     lacking = {b.name for s in sensors.values() for b in s.reads} - truth.values.keys()
     values: dict[str, Array] = {}
     for name, process in processes.items():
@@ -135,6 +158,22 @@ def simulate(
 
     Raises InputError when the truth cannot drive an input or a sensor, or is not finite.
     """
+    models = processes, sensors
+    truth, series = true_pass(truth_model, inputs, *models, times, seed, run, statics)
+    return Recording(times, measure_all(sensors, timings, truth, seed, run), series, truth)
+
+
+def true_pass(
+    truth_model: Any,
+    inputs: Mapping[str, Any],
+    processes: Mapping[str, Dynamics],
+    sensors: Mapping[str, Sensor],
+    times: Array,
+    seed: int,
+    run: int = 0,
+    statics: Mapping[str, Array] | None = None,
+) -> tuple[Truth, dict[str, InputSeries]]:
+    """The truth of a simulated pass at `times` (N,), s, and its inputs; see `simulate`."""
     layout = layout_of(processes, sensors)
     t0, t1 = float(times[0]), float(times[-1])
     series: dict[str, InputSeries] = {}
@@ -180,5 +219,4 @@ def simulate(
                 f"truth: {name} is not finite at t = {t} s, expected numbers that can be integrated"
                 " (too large, or in another unit?)"
             )
-    truth = with_true_copies(Truth(truth.t, known, truth.source), sensors)
-    return Recording(times, measure_all(sensors, timings, truth, seed, run), series, truth)
+    return with_true_copies(Truth(truth.t, known, truth.source), sensors), series

@@ -16,6 +16,7 @@ from relnav_graph.core.track import Truth
 from relnav_graph.errors import GeometryError, InputError
 
 __all__ = [
+    "check_known",
     "stream",
 ]
 Law = Literal["gaussian", "random_direction"]
@@ -106,7 +107,8 @@ def check_known(name: str, sensor: Sensor, values: Mapping[str, Array]) -> None:
     if missing:
         raise InputError(
             f"sensor {name!r} cannot be simulated: the truth has no {missing}; what is static is"
-            f" given as truth.statics.{missing[0]}"
+            f" given as truth.statics.{missing[0]}, else the sensor brings it (own_truth), or the"
+            " process that advances it draws it (wandering)"
         )
 
 

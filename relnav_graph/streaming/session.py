@@ -323,7 +323,7 @@ class Session:
         self.seq += 1
         return line
 
-    def _object(self, x: Array, P: Array) -> dict[str, Any]:
+    def _object(self, x: Array, P: Array) -> Any:
         return estimate_object(self.online.layout, self._derived, x, P)
 
     def _now(self, t: float, found: tuple[Array, Array]) -> dict[str, Any]:
@@ -332,10 +332,17 @@ class Session:
         if newest is None or t != newest or now <= t + SAME_TIME:
             return {"t": t, "estimate": self._object(*found)}
         try:
-            found = self.online.predict(now, self._since(t, now, hold=True))
-            return {"t": now, "estimate": self._object(*found)}
+            return {"t": now, "estimate": self._object(*self.ahead(now))}
         except (RelnavError, np.linalg.LinAlgError) as error:
             return {"t": now, "estimate": None, "message": str(error)}
+
+    def ahead(self, t: float) -> tuple[Array, Array]:
+        """x (size,) and P (n, n) at time t, s, from the newest epoch on, inputs held beyond their
+        end. Raises InputError before it, EstimationError where it cannot be propagated."""
+        now = self.online.t
+        assert now is not None
+        inputs = {} if t <= now + SAME_TIME else self._since(now, t, hold=True)
+        return self.online.predict(t, inputs)
 
     # --- as bytes --------------------------------------------------------------------------
 

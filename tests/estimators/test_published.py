@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numeric import differences
 from passes import EXPERIMENTS, stored
 from passes import differences as apart
 from scipy.linalg import expm
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
+from relnav_graph.core.conformance.numeric import differences
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import ModelError

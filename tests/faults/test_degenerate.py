@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import draw_block
-from example_kinds import DynamicsExample, SensorExample, reads_of
 from example_makers import stereo
 from examples import EXAMPLES
 from passes import ZHANG
@@ -26,6 +24,8 @@ from relnav_factors.sensors.laser_range_angles import LaserRangeAngles
 from relnav_factors.sensors.star_tracker import StarTracker
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.conformance.draws import draw_block
+from relnav_graph.core.conformance.examples import DynamicsExample, SensorExample, reads_of
 from relnav_graph.core.epochs import make_epochs
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.numbered import numbered_of

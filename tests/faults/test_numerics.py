@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numeric import assert_jacobian, differences
+from numeric import assert_jacobian
 from online_passes import KINDS, assert_same, driven, fresh, snapshot, toy
 from passes import FIX, ONE_ID, PROCESSES, RANGER, SENSORS, toy_measurements, toy_problem
 from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
@@ -17,6 +17,7 @@ from toy_model import RANGE_DRIFT, DriftingRange, PositionFix
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import RELATIVE_POSITION
+from relnav_graph.core.conformance.numeric import differences
 from relnav_graph.core.epochs import make_epochs
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import DynamicsModel

@@ -15,7 +15,6 @@ import gtsam
 import numpy as np
 import pytest
 import relnav_factors
-from example_kinds import SensorExample
 from example_makers import BEACONS, LOW, MOUNTED, gyro_model
 from examples import EXAMPLES
 from relnav_factors.derived.inertia_ratios import InertiaRatios
@@ -34,6 +33,7 @@ from relnav_graph.core.catalogue import (
     TARGET_ATTITUDE,
     TARGET_RATE,
 )
+from relnav_graph.core.conformance.examples import SensorExample
 from relnav_graph.core.epochs import make_epochs, process_inputs
 from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.models import ENTRY_POINTS

@@ -15,20 +15,23 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
-from draws import REGIMES, draw_block, scale_of
-from example_kinds import DerivedExample, DynamicsExample, SensorExample, reads_of
 from examples import EXAMPLES
-from numeric import assert_jacobian, blocks_of, differences, steps_for
 from scipy.special import chdtri
 
-from relnav_graph.arrays import Array
+from relnav_graph.core.conformance import sensors
+from relnav_graph.core.conformance.checks import derived_faults
+from relnav_graph.core.conformance.draws import REGIMES
+from relnav_graph.core.conformance.examples import (
+    DerivedExample,
+    DynamicsExample,
+    SensorExample,
+)
+from relnav_graph.core.conformance.sensors import Look, arguments, jacobian_faults
 from relnav_graph.core.contracts import Derived, Dynamics, Sensor
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import ENTRY_POINTS
-from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.problem import check_covariance
-from relnav_graph.core.state import Block, Layout
-from relnav_graph.errors import GeometryError, InputError
+from relnav_graph.errors import InputError
 from relnav_graph.registry import classes
 from relnav_graph.units import Quantity
 
@@ -57,14 +60,6 @@ def states_of(name: str) -> int:
 
 def seed_of(name: str, regime: str) -> np.random.Generator:
     return np.random.default_rng([*name.encode(), *regime.encode()])
-
-
-def sizes(blocks: tuple[Block, ...], regime: str) -> Array:
-    """Size of each tangent component in a regime; 1 rad for attitudes."""
-    parts = [
-        np.full(b.dim, 1.0 if b.manifold == "SO3" else scale_of(b.name, regime)) for b in blocks
-    ]
-    return np.concatenate(parts)
 
 
 # What there is.
@@ -162,87 +157,24 @@ def test_sensor_refuses_a_mounting_that_is_no_rotation(name: str) -> None:
 # Sensors.
 
 
-@dataclasses.dataclass(frozen=True)
-class Look:
-    """A measurement taken at x_true, looked at from x."""
-
-    m: Measurement
-    x_true: Array
-    x: Array
-
-
-def arguments(model: Any, x: Array, count: int) -> list[Array]:
-    """What the methods of a sensor take at a state of `reads_of`, for so many observations: of a
-    numbered block, its value for each of them."""
-    values = list(Layout(reads_of(model)).values(x).values())
-    if numbered_of(model) is not None:
-        values[-1] = np.tile(values[-1], (count, 1))
-    return values
-
-
+@cache
 def looks(name: str, regime: str) -> list[Look]:
     """Seeded measurements and states; the same for every test."""
-    return _looks(name, regime)
-
-
-@cache
-def _looks(name: str, regime: str) -> list[Look]:
-    example, rng = SENSORS[name], seed_of(name, regime)
-    model, layout = example.model, Layout(reads_of(example.model))
-    # Where each reads a block of its own, whatever its number.
-    numbers = model.observables() if numbered_of(model) is None else np.array([7, 0, 10**6])
-    known, found = numbers, list[Look]()
-    while len(found) < states_of(name):
-        ids = rng.choice(known, size=min(3, len(known)), replace=False)
-        values = example.draw(rng, regime)
-        x_true = layout.pack(dict(zip([b.name for b in layout], values, strict=True)))
-        at_truth = arguments(model, x_true, len(ids))
-        clean = Measurement("s", 1.0, model.predict(ids, *at_truth), ids)
-        R = model.noise(clean)
-        e = np.einsum("kij,kj->ki", np.linalg.cholesky(R), rng.normal(size=R.shape[:2]))
-        m = Measurement("s", 1.0, model.perturb(clean.z, e), ids)
-        if regime == "large":
-            other = dict(zip([b.name for b in layout], example.draw(rng, regime), strict=True))
-            x = layout.pack(other)
-        else:
-            share = 1e-5 if regime == "near" else 1.0
-            step = [np.full(b.dim, share * example.step.get(b.name, 0.1)) for b in layout]
-            x = layout.retract(x_true, np.concatenate(step) * rng.normal(size=layout.dim))
-        try:
-            r, _ = model.residual(m, *arguments(model, x, len(ids)))
-        except GeometryError:
-            continue
-        r = r.reshape(len(ids), -1)
-        sigmas = np.sqrt(np.einsum("ki,kij,kj->k", r, np.linalg.inv(R), r))
-        far = sigmas.min() > 10 and np.linalg.norm(r, axis=1).min() > example.least_large
-        if regime != "large" or far:
-            found.append(Look(m, x_true, x))
-    return found
+    return sensors.looks(SENSORS[name], regime, states_of(name), seed_of(name, regime))
 
 
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize("name", SENSORS)
 def test_sensor_jacobians_agree_with_central_differences(name: str, regime: str) -> None:
     """At residuals that are anything but zero, too."""
-    model = SENSORS[name].model
-    layout = Layout(reads_of(model))
-    inputs = sizes(layout.blocks, "moderate")
-    for look in looks(name, regime):
-        values = arguments(model, look.x, len(look.m.ids))
-        r, parts = model.residual(look.m, *values)
-        assert r.shape == (len(look.m.ids) * model.rows,)
-        assert [p.shape for p in parts] == [(len(r), b.dim) for b in layout]
-        H, scale = np.hstack(parts), np.sqrt(np.diagonal(model.noise(look.m), 0, 1, 2)).ravel()
+    assert not jacobian_faults(SENSORS[name], regime, looks(name, regime))
 
-        def f(d: Array, m: Measurement = look.m, x: Array = look.x) -> Array:
-            out: Array = model.residual(m, *arguments(model, layout.retract(x, d), len(m.ids)))[0]
-            return out
 
-        outputs = np.abs(H * inputs).max(axis=1)  # no step moves a row by more than 1e-3 of it
-        numeric = differences(f, 0.3 * steps_for(H, inputs, outputs))  # residuals up to half a turn
-        assert_jacobian(
-            numeric / scale[:, None], H / scale[:, None], [slice(None)], blocks_of(layout), inputs
-        )
+@pytest.mark.parametrize("name", SENSORS)
+def test_sensor_fills_its_outputs(name: str) -> None:
+    """All of them, the same whatever they hold before, and nothing beside them."""
+    for regime in REGIMES:
+        assert not sensors.output_faults(SENSORS[name], regime, 5, seed_of(name, regime))
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -355,19 +287,6 @@ def test_sensor_refuses_rows_of_another_width(name: str) -> None:
 
 @pytest.mark.parametrize("name", DERIVED)
 def test_derived_jacobian_agrees_with_central_differences(name: str) -> None:
-    model, layout = DERIVED[name].model, Layout(DERIVED[name].model.reads)
     for regime in REGIMES:
-        rng, inputs = seed_of(name, regime), sizes(model.reads, regime)
-        for _ in range(STATES):
-            x = layout.pack({b.name: draw_block(b, rng, regime) for b in layout})
-            value, J = model.value(*layout.values(x).values())
-            model.block.pack(value)
-            assert J.shape == (model.block.dim, layout.dim)
-
-            def f(d: Array, x: Array = x, value: Array = value) -> Array:
-                moved = model.value(*layout.values(layout.retract(x, d)).values())[0]
-                return np.asarray(model.block.local(value, moved))
-
-            outputs = np.full(model.block.dim, np.abs(J * inputs).max())
-            numeric = differences(f, steps_for(J, inputs, outputs))
-            assert_jacobian(numeric, J, [slice(None)], blocks_of(layout), inputs)
+        rng = seed_of(name, regime)
+        assert not derived_faults(DERIVED[name], regime, STATES, rng)

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import REGIMES, draw_block, scale_of
-from numeric import assert_jacobian, blocks_of, differences, steps_for
-from test_conformance import DYNAMICS, seed_of, sizes, states_of
+from test_conformance import DYNAMICS, seed_of, states_of
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.problem import check_covariance
+from relnav_graph.core.conformance import dynamics
+from relnav_graph.core.conformance.draws import REGIMES, sizes
+from relnav_graph.core.conformance.dynamics import Interval, transition
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import InputError
 
@@ -26,23 +26,11 @@ from relnav_graph.errors import InputError
 FLOWS = [name for name, example in DYNAMICS.items() if example.flow]
 
 
-@dataclasses.dataclass(frozen=True)
-class Interval:
-    """An interval from t with inputs u, at the state x of all blocks."""
-
-    t: float
-    u: Array
-    x: Array
-
-
 def input_rows(name: str, lengths: Array, rng: np.random.Generator, regime: str) -> Array:
     """u (rows, 1 + channels) with random inputs, or one row when there are none."""
-    channels = DYNAMICS[name].channels
-    assert list(channels) == list(DYNAMICS[name].model.inputs)
-    if not channels:
-        return np.array([[lengths.sum()]])
-    parts = [scale_of(c, regime) * rng.normal(size=(len(lengths), n)) for c, n in channels.items()]
-    return np.ascontiguousarray(np.hstack([lengths[:, None], *parts]))
+    example = DYNAMICS[name]
+    assert list(example.channels) == list(example.model.inputs)
+    return dynamics.input_rows(example, lengths, rng, regime)
 
 
 def layout_of(name: str) -> Layout:
@@ -51,54 +39,27 @@ def layout_of(name: str) -> Layout:
 
 @cache
 def intervals(name: str, regime: str) -> list[Interval]:
-    """Seeded intervals: 0.1 s; 10 s in rows of 0.5 s; 100 s in four uneven rows."""
-    rng, layout = seed_of(name, regime), layout_of(name)
-    lengths = {"near": np.array([0.1]), "moderate": np.full(20, 0.5)}
-    found = []
-    for _ in range(states_of(name)):
-        split = lengths.get(regime, 100 * rng.dirichlet(np.ones(4)))
-        x = layout.pack({b.name: draw_block(b, rng, regime) for b in layout})
-        u = input_rows(name, split, rng, regime)
-        found.append(Interval(float(rng.uniform(0, 5000)), u, x))
-    return found
-
-
-def transition(model: Any, t: float, u: Array, x: Array) -> tuple[Array, Array, Array]:
-    """Stored advanced blocks at the end, F and Q, from a stored vector."""
-    layout = Layout(model.advances + model.reads)
-    values, F, Q = model.transition(t, u, *layout.values(x).values())
-    return np.concatenate([v.ravel() for v in values]), F, Q
+    """Seeded intervals; the same for every test."""
+    return dynamics.intervals(DYNAMICS[name], regime, states_of(name), seed_of(name, regime))
 
 
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize("name", DYNAMICS)
 def test_transition_matrix_agrees_with_central_differences(name: str, regime: str) -> None:
     """To the advanced blocks, and to those that are only read."""
-    model, layout = DYNAMICS[name].model, layout_of(name)
-    advanced = Layout(model.advances)
-    inputs, outputs = sizes(layout.blocks, regime), sizes(model.advances, regime)
-    for i in intervals(name, regime):
-        x_next, F, Q = transition(model, i.t, i.u, i.x)
-        assert F.shape == (advanced.dim, layout.dim)
-        check_covariance(name, Q)
+    assert not dynamics.transition_faults(DYNAMICS[name], regime, intervals(name, regime))
 
-        def f(d: Array, i: Interval = i, x_next: Array = x_next) -> Array:
-            moved = model.propagate(i.t, i.u, *layout.values(layout.retract(i.x, d)).values())
-            return advanced.local(x_next, np.concatenate([v.ravel() for v in moved]))
 
-        numeric = differences(f, steps_for(F, inputs, outputs))
-        assert_jacobian(numeric, F, blocks_of(advanced), blocks_of(layout), inputs)
+@pytest.mark.parametrize("name", DYNAMICS)
+def test_process_fills_its_outputs(name: str) -> None:
+    """All of them, the same whatever they hold before, and nothing beside them."""
+    for regime in REGIMES:
+        assert not dynamics.output_faults(DYNAMICS[name], regime, intervals(name, regime)[:5])
 
 
 @pytest.mark.parametrize("name", DYNAMICS)
 def test_propagation_stays_on_the_manifold(name: str) -> None:
-    model = DYNAMICS[name].model
-    for i in intervals(name, "large"):
-        values = model.propagate(i.t, i.u, *layout_of(name).values(i.x).values())
-        for block, value in zip(model.advances, values, strict=True):
-            block.pack(value)
-            if block.manifold == "SO3":
-                np.testing.assert_allclose(value.T @ value, np.eye(3), rtol=0, atol=1e-14)
+    assert not dynamics.manifold_faults(DYNAMICS[name], intervals(name, "large"))
 
 
 class Chain:

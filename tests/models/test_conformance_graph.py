@@ -15,15 +15,17 @@ from typing import Any
 import gtsam
 import numpy as np
 import pytest
-from draws import REGIMES
 from example_makers import BEACONS, MOUNTED
-from numeric import assert_jacobian, differences, steps_for
+from numeric import assert_jacobian
 from relnav_factors.sensors.stereo_point import StereoPointCartesian
-from test_conformance import DYNAMICS, looks, seed_of, sizes
+from test_conformance import DYNAMICS, looks, seed_of
 from test_conformance import SENSORS as ALL_SENSORS
-from test_conformance_dynamics import Interval, intervals, layout_of, transition
+from test_conformance_dynamics import intervals, layout_of
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.conformance.draws import REGIMES, sizes
+from relnav_graph.core.conformance.dynamics import Interval, transition
+from relnav_graph.core.conformance.numeric import differences, steps_for
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.numbered import numbered_of

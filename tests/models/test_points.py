@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from example_kinds import SensorExample
 from example_makers import BEACONS, mono, stereo
 from examples import EXAMPLES
 from relnav_factors.sensors.beacon_los import BeaconLineOfSight
 from relnav_factors.sensors.stereo_point import StereoPointCartesian
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.conformance.examples import SensorExample
 from relnav_graph.core.contracts import Mappable, ReadsNumbered
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Layout

@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from draws import draw_blocks
 from example_makers import MOUNTED
 from relnav_factors.sensors.pose_measurement import PoseMeasurement
 
+from relnav_graph.core.conformance.draws import draw_blocks
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
 from relnav_graph.maths import so3

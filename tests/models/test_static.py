@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import draw_block
 from relnav_factors.dynamics.euler_rotation import EulerRotation
 from relnav_factors.dynamics.gyro_bias import GyroBias
 from relnav_factors.dynamics.receiver_clock import ReceiverClock
 
+from relnav_graph.core.conformance.draws import draw_block
 from relnav_graph.errors import InputError
 from relnav_graph.maths.orbit import KeplerOrbit
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numeric import differences
 from passes import EXPERIMENTS
 from relnav_factors.sensors.three_point_attitude import ThreePointAttitude, frame_of, frame_slopes
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.conformance.numeric import differences
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator

@@ -216,8 +216,7 @@ def test_json_schema_is_whole(capsys: pytest.CaptureFixture[str]) -> None:
                 target = target[part]
         if isinstance(node.get("type"), str) and "properties" not in node.get("type", ""):
             assert node["type"] in types
-    whole = schema["else"]
-    assert {"title", "processes", "sensors", "prior"} <= set(whole["required"])
+    assert {"title", "processes", "sensors", "prior"} <= set((whole := schema["else"])["required"])
     assert schema["additionalProperties"] is False
     kinds = {
         section: {

@@ -19,10 +19,10 @@ from map_tracks import (
     smoothed,
     truth_of_map,
 )
-from numeric import differences
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.catalogue import POINT
+from relnav_graph.core.conformance.numeric import differences
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.numbered import number_in, unnumbered
 from relnav_graph.core.track import Track, Truth

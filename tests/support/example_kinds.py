@@ -1,59 +1,15 @@
-"""What an example of a model is, and those that follow from another: a mounting estimated, points
-unknown."""
+"""Examples of models that follow from another: a mounting estimated, points unknown."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from draws import Draw, draw_block
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.numbered import numbered_of
-from relnav_graph.core.state import Block
+from relnav_graph.core.conformance.draws import draw_block
+from relnav_graph.core.conformance.examples import Example, SensorExample
 from relnav_graph.maths import so3
-
-
-@dataclass(frozen=True)
-class SensorExample:
-    """draw: values of the blocks read at which the sensor sees everything; step: size of
-    a moderate change of each block; least_large: residual norm that "large" must exceed."""
-
-    model: Any
-    draw: Draw
-    step: Mapping[str, float] = field(default_factory=dict)
-    least_large: float = 0.0
-
-
-@dataclass(frozen=True)
-class DynamicsExample:
-    """diffusion: of the advanced blocks' white noise, unit^2/s, (n, n) at given values;
-    channels: of each input; companions: processes that advance the blocks that are read;
-    flow: False for a process that is no flow in time, such as a copy."""
-
-    model: Any
-    diffusion: Callable[..., Array]
-    channels: Mapping[str, int] = field(default_factory=dict)
-    companions: tuple[Any, ...] = ()
-    flow: bool = True
-
-
-@dataclass(frozen=True)
-class DerivedExample:
-    """A derived quantity."""
-
-    model: Any
-
-
-def reads_of(model: Any) -> tuple[Block, ...]:
-    """The blocks that one observation of a sensor reads, that of its id last."""
-    own = numbered_of(model)
-    return model.reads if own is None else (*model.reads, own)
-
-
-Example = SensorExample | DynamicsExample | DerivedExample
 
 
 def estimated(example: Example) -> tuple[Example, ...]:

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from draws import PLACES, draw_block, draw_blocks
-from example_kinds import DynamicsExample, SensorExample
 from relnav_factors.dynamics.body_velocity import BodyVelocity
 from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
 from relnav_factors.dynamics.euler_rotation import EulerRotation
@@ -28,6 +26,8 @@ from relnav_factors.sensors.stereo_point import StereoPoint
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.absolute_time import AbsoluteTime
+from relnav_graph.core.conformance.draws import PLACES, draw_block, draw_blocks
+from relnav_graph.core.conformance.examples import DynamicsExample, SensorExample
 from relnav_graph.maths import so3
 from relnav_graph.maths.orbit import KeplerOrbit
 

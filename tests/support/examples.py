@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from example_kinds import DerivedExample, DynamicsExample, Example, with_variants
+from example_kinds import with_variants
 from example_makers import (
     BEACONS,
     HU_INERTIA,
@@ -71,6 +71,8 @@ from relnav_factors.sensors.star_tracker import StarTracker
 from relnav_factors.sensors.stereo_point import StereoPointCartesian
 from relnav_factors.sensors.three_point_attitude import ThreePointAttitude
 from relnav_factors.sensors.vision_attitude import VisionAttitude
+
+from relnav_graph.core.conformance.examples import DerivedExample, DynamicsExample, Example
 
 _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
     "attitude_odometry": (

@@ -311,6 +311,10 @@ class Online:
 
     # --- inside ----------------------------------------------------------------------------
 
+    def release(self) -> None:
+        """Let another thread go on: for who lets in one at a time, by a lock of its own."""
+        self._owner = None
+
     def _claim(self) -> None:
         """Raise EstimationError in a thread that is not the first one to use it."""
         here = threading.get_ident()
@@ -391,9 +395,6 @@ class Online:
 
 
 def online(kind: str, problem: Problem) -> Online:
-    """An estimator of a kind, to be driven online.
-
-    problem: without epochs, or they are ignored. Raises ModelError when there is none of
-    that kind, or it has no ``engine``.
-    """
+    """An estimator of a kind, to be driven online; epochs of the problem are ignored. Raises
+    ModelError when there is none of that kind, or it has no ``engine``."""
     return Online(problem, kind)

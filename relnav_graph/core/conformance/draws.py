@@ -10,6 +10,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.state import Block
 from relnav_graph.maths import so3
 
+__all__ = ["REGIMES", "Draw", "draw_block", "draw_blocks", "scale_of", "sizes"]
+
 Draw = Callable[[np.random.Generator, str], tuple[Array, ...]]
 
 #: near: attitudes near the identity, short intervals, small residuals; moderate; large:
@@ -53,11 +55,12 @@ PLACES: Mapping[str, Array] = {"chaser_position": np.array([3.1e6, -4.9e6, 4.2e6
 
 
 def scale_of(name: str, regime: str) -> float:
+    """Size of a component of a block or an input, SI."""
     return SCALES.get(name, (1.0, 1.0, 1.0))[REGIMES.index(regime)]
 
 
 def draw_block(block: Block, rng: np.random.Generator, regime: str) -> Array:
-    """A value of a block; now and then an attitude is exactly the identity."""
+    """A value of a block, (3, 3) or (dim,), SI; now and then an attitude is the identity."""
     if block.manifold == "SO3":
         if regime == "near":
             return np.eye(3) if rng.random() < 0.1 else so3.exp(1e-3 * rng.normal(size=3))
@@ -67,4 +70,13 @@ def draw_block(block: Block, rng: np.random.Generator, regime: str) -> Array:
 
 
 def draw_blocks(blocks: Iterable[Block]) -> Draw:
+    """Draws values of blocks, one for each."""
     return lambda rng, regime: tuple(draw_block(b, rng, regime) for b in blocks)
+
+
+def sizes(blocks: Iterable[Block], regime: str) -> Array:
+    """Size of each tangent component (dims,) in a regime, SI; 1 rad for attitudes."""
+    parts = [
+        np.full(b.dim, 1.0 if b.manifold == "SO3" else scale_of(b.name, regime)) for b in blocks
+    ]
+    return np.concatenate(parts)
