@@ -41,9 +41,9 @@ def command(
     loaded = load_scenario(scenario, assignments)
     seed = loaded.file.seed if seed is None else seed
     recording = loaded.simulate(seed, number)
-    stamped = recording.shifted(loaded.file.time.origin)
     if str(out) == "-":
         prior = loaded.problem(recording, seed, number).prior
+        stamped = recording.shifted(loaded.file.time.origin)
         for line in recording_lines(stamped, loaded.name, seed, loaded.layout, prior):
             click.echo(line)
         return
@@ -53,7 +53,7 @@ def command(
     write_dataset(
         out,
         raw,
-        stamped,
+        recording,
         loaded.sensors,
         loaded.input_columns,
         blocks,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,23 +39,23 @@ def of_closures(sensors: Mapping[str, Sensor]) -> bool:
     return any(closure_of(name, sensor) is not None for name, sensor in sensors.items())
 
 
-def by_keyframe(table: Table, sensors: Mapping[str, Sensor], origin: float) -> dict[str, Table]:
+def by_keyframe(table: Table, sensors: Mapping[str, Sensor]) -> dict[str, Table]:
     """The rows of each sensor in a table of closures, as a table without ``t_from_s``.
 
-    origin: what the stamps say at t = 0 of the keyframes' clock, s. Raises InputError, naming file,
-    line and column, on a closure to an epoch that is no keyframe, or not an earlier one.
+    Raises InputError, naming file, line and column, on a closure to an epoch that is no keyframe,
+    or not an earlier one.
     """
     table.require(("t_s", "t_from_s"), tuple(table.columns))
     found, keyframes = dict[str, Table](), []
-    t_from, left = table["t_from_s"] - origin, np.ones(len(table.lines), np.bool_)
+    t_from, left = table["t_from_s"], np.ones(len(table.lines), np.bool_)
     for name, sensor in sensors.items():
         closure = closure_of(name, sensor)
         keyframe = np.nan if closure is None else closure[1]
-        keyframes.append(f"{keyframe + origin:.15g}")
+        keyframes.append(f"{keyframe + table.origin:.15g}")
         own = np.abs(t_from - keyframe) <= SAME_TIME
         left &= ~own
         columns = {key: column[own] for key, column in table.columns.items()}
-        part = Table(table.path, columns, table.lines[own])
+        part = replace(table, columns=columns, lines=table.lines[own])
         later = part["t_s"] > part["t_from_s"] + SAME_TIME
         part.refuse(~later, "t_from_s", "a time before t_s")
         del columns["t_from_s"]
@@ -64,14 +65,14 @@ def by_keyframe(table: Table, sensors: Mapping[str, Sensor], origin: float) -> d
 
 
 def earlier_times(
-    measurements: Sequence[Measurement], sensors: Mapping[str, Sensor], origin: float
+    measurements: Sequence[Measurement], sensors: Mapping[str, Sensor]
 ) -> dict[str, NDArray[Any]]:
     """The column ``t_from_s`` (rows,), s, of closures; nothing of other measurements."""
     if not of_closures(sensors):
         return {}
     found = [closure_of(m.sensor, sensors[m.sensor]) for m in measurements]
     counts = [len(m.z) for m in measurements]
-    return {"t_from_s": np.repeat([origin + (c or ("", np.nan))[1] for c in found], counts)}
+    return {"t_from_s": np.repeat([(c or ("", np.nan))[1] for c in found], counts)}
 
 
 def keyframes_in(folder: Path, scenario: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

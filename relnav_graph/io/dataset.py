@@ -85,16 +85,18 @@ Columns = Mapping[str, NDArray[Any]]
 _LONGEST = 200
 
 
-def _need_table(folder: Path, stem: str) -> Table:
-    table = read_table(folder, stem)
+def _need_table(folder: Path, stem: str, origin: float) -> Table:
+    table = read_table(folder, stem, origin)
     if table is None:
         here = ", ".join(sorted(p.name for p in folder.iterdir())) or "nothing"
         raise InputError(f"{folder}: no table {stem}.csv or {stem}.parquet; found {here}")
     return table
 
 
-def _input(folder: Path, name: str, channels: tuple[str, ...], sort: bool) -> InputSeries:
-    table = _need_table(folder, name)
+def _input(
+    folder: Path, name: str, channels: tuple[str, ...], sort: bool, origin: float
+) -> InputSeries:
+    table = _need_table(folder, name, origin)
     if sort:
         table = table.sorted_by("t_s" if "t_s" in table.columns else "t_start_s")
     if channels == THRUST_COLUMNS and "dvx_m_s" in table.columns:
@@ -140,11 +142,14 @@ def read_settings_of(
 
 
 def _epochs(
-    folder: Path, tables: Iterable[Table], measurements: Iterable[Measurement], merge: float
+    folder: Path,
+    epochs: Table | None,
+    tables: Iterable[Table],
+    measurements: Iterable[Measurement],
+    merge: float,
 ) -> Array:
-    """Times of the epochs (N,), s. Raises InputError on an observation that is on none of them,
-    within `merge`, s."""
-    epochs = read_table(folder, "epochs")
+    """Times of the epochs (N,), s: those of a table, or of the measurements. Raises InputError on
+    an observation that is on none of them, within `merge`, s."""
     if epochs is None:
         times = epoch_times(np.array([m.t for m in measurements]), merge)
     else:
@@ -179,7 +184,7 @@ def read_dataset(
 
     inputs: columns of each input, by name; merge: s, how close to an epoch is of it; statics:
     which of the blocks are static, see `relnav_graph.io.truth.read_truth`; origin: what stamps say
-    at t = 0 of the clock of the sensors' keyframes, s; late: sensors whose stamps are not those of
+    at t = 0, s, which is taken off all of them; late: sensors whose stamps are not those of
     epochs, since they lag; sort: put rows that are out of order of time in order; gap: s,
     see `relnav_graph.io.truth.read_truth`; partial: what has no table is elsewhere, and so are the
     epochs.
@@ -201,21 +206,23 @@ def read_dataset(
             n: s for own in grouped(sensors).items() if own[0] in here for n, s in own[1].items()
         }
         inputs = {n: columns for n, columns in inputs.items() if n in here}
-    tables = {name: _need_table(folder, name) for name in grouped(sensors)}
+    tables = {name: _need_table(folder, name, origin) for name in grouped(sensors)}
     measurements = list[Measurement]()
     for name, own in grouped(sensors).items():
         closures = of_closures(own)
-        parts = by_keyframe(tables[name], own, origin) if closures else {name: tables[name]}
+        parts = by_keyframe(tables[name], own) if closures else {name: tables[name]}
         measurements += [
             m for n, part in parts.items() for m in measurements_in(part, n, own[n], sort)
         ]
     measurements.sort(key=lambda m: m.t)
     on_time = [table for name, table in tables.items() if name not in late]
-    alone = partial and not measurements and read_table(folder, "epochs") is None
-    times = np.zeros(0) if alone else _epochs(folder, on_time, measurements, merge)
-    series = {name: _input(folder, name, columns, sort) for name, columns in inputs.items()}
+    epochs = read_table(folder, "epochs", origin)
+    alone = partial and not measurements and epochs is None
+    times = np.zeros(0) if alone else _epochs(folder, epochs, on_time, measurements, merge)
+    series = {name: _input(folder, name, columns, sort, origin) for name, columns in inputs.items()}
     source = manifest.get("truth_source", "")
-    truth = read_truth(folder, blocks, times, source, statics, families(sensors), gap, sort)
+    numbered = families(sensors)
+    truth = read_truth(folder, blocks, times, source, statics, numbered, gap, sort, origin)
     return Recording(times, tuple(measurements), series, truth, manifest.get("settings", {}))
 
 
@@ -237,7 +244,6 @@ def _tables(
     sensors: Mapping[str, Sensor],
     inputs: Mapping[str, tuple[str, ...]],
     blocks: Mapping[str, Block],
-    origin: float,
 ) -> dict[str, Columns]:
     """All tables of a data set, by name."""
     for m in recording.measurements:
@@ -247,7 +253,7 @@ def _tables(
     for name in (*sensors, *recording.inputs):
         check_name("a table", name, _LONGEST)
     measured = recording.measurements
-    tables += [(n, sensor_columns(n, s, measured, origin)) for n, s in grouped(sensors).items()]
+    tables += [(n, sensor_columns(n, s, measured)) for n, s in grouped(sensors).items()]
     for name, series in recording.inputs.items():
         if name not in inputs:
             raise InputError(f"unknown input {name!r}; known are {', '.join(inputs)}")
@@ -294,19 +300,19 @@ def write_dataset(
     scenario it is a folder for the reader "tables".
 
     blocks: definitions of the blocks of the truth; a true quantity without one is left out,
-    since its units are not known. tables: format of the tables; origin: see `read_dataset`. A data
+    since its units are not known. tables: format of the tables; origin: s, put on all times. A data
     set that stands in `folder` is replaced. Raises InputError when other files stand there, when
     nothing can be written, or when the recording has a sensor or an input that is not known.
     """
     folder = Path(folder)
     if folder.is_dir() and any(folder.iterdir()) and not is_ours(folder):
         raise InputError(f"{folder}: holds files that are not of a data set; name another folder")
-    contents = _tables(recording, sensors, inputs, blocks, origin)
+    contents = _tables(recording, sensors, inputs, blocks)
     source = recording.truth.source if recording.truth else ""
     with atomic(folder) as staged:
         staged.mkdir()
         for name, columns in contents.items():
-            write_table(staged / f"{name}.{tables}", columns)
+            write_table(staged / f"{name}.{tables}", columns, origin)
         write_manifest(staged, dict(recording.settings), source)
         if scenario is not None:
             (staged / "scenario.toml").write_text(tomli_w.dumps(scenario), "utf-8")

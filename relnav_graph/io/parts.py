@@ -121,7 +121,8 @@ def _placed(recording: Recording, epoch: Instant | None, origin: float) -> Recor
     """A part in the clock of the pass."""
     own = recording.epoch
     if own is None or epoch is None:
-        own, epoch = Instant(0), Instant(0).after(origin)
+        counted = recording.settings.get("time", {}).get("origin", origin)
+        own, epoch = Instant(0), Instant(0).after(counted)
     by = own.ns_since(epoch)
     if not by:
         return recording

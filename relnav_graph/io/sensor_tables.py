@@ -71,7 +71,7 @@ def measurements_in(
 
 
 def sensor_columns(
-    name: str, sensors: Mapping[str, Sensor], measurements: Iterable[Measurement], origin: float
+    name: str, sensors: Mapping[str, Sensor], measurements: Iterable[Measurement]
 ) -> dict[str, NDArray[Any]]:
     """The table of a sensor, or of those that close loops to its keyframes: a row per observation,
     in order of time. Raises InputError on a measurement of another width."""
@@ -87,7 +87,7 @@ def sensor_columns(
     z = np.concatenate([np.zeros((0, len(sensor.columns))), *(m.z for m in own)])
     columns: dict[str, NDArray[Any]] = {
         "t_s": np.repeat([m.t for m in own], counts),
-        **earlier_times(own, sensors, origin),
+        **earlier_times(own, sensors),
         "id": np.concatenate([np.zeros(0, dtype=np.int64), *(m.ids for m in own)]),
         **dict(zip(sensor.columns, z.T, strict=True)),
     }

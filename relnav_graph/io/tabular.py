@@ -9,8 +9,9 @@ import csv
 import io
 import logging
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -27,6 +28,7 @@ from relnav_graph.maths import dense, so3
 from relnav_graph.memory import check_room
 
 __all__ = [
+    "TIMES",
     "Format",
     "Table",
     "component_columns",
@@ -41,6 +43,9 @@ __all__ = [
 Format = Literal["csv", "parquet"]
 
 _LOG = logging.getLogger(__name__)
+
+#: Columns of times, s, of which an origin is taken off.
+TIMES = ("t_s", "t_start_s", "t_end_s", "t_from_s", "t_arrival_s")
 
 #: What other programs separate columns by.
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
@@ -93,11 +98,13 @@ def from_components(block: Block, components: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns (rows,) of one file, by name, and lines (rows,): the line number of each row."""
+    """Columns (rows,) of one file, by name, and lines (rows,): the line number of each row; origin:
+    s, what was taken off the columns of times."""
 
     path: Path
     columns: Mapping[str, Array]
     lines: Indices
+    origin: float = 0.0
 
     def __getitem__(self, column: str) -> Array:
         return self.columns[column]
@@ -110,7 +117,7 @@ class Table:
         """Raise InputError at the first row where the mask `bad` (rows,) is true, if any."""
         rows = np.nonzero(bad)[0]
         if len(rows):
-            found = self[column][rows[0]]
+            found = self[column][rows[0]] + (self.origin if column in TIMES else 0.0)
             more = f" ({len(rows)} such rows)" if len(rows) > 1 else ""
             raise InputError(
                 f"{self.path}, line {self.lines[rows[0]]}, column {column}: found {found!s},"
@@ -165,7 +172,7 @@ class Table:
             " before a row of an earlier time"
         )
         columns = {name: values[order] for name, values in self.columns.items()}
-        return Table(self.path, columns, self.lines[order])
+        return replace(self, columns=columns, lines=self.lines[order])
 
     def increasing(self, column: str, strictly: bool = True) -> None:
         """Raise InputError where a time is not after (or is before) the row above."""
@@ -224,14 +231,23 @@ def _header(path: Path, line: int, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _read_csv(path: Path) -> Table:
+def _read_csv(path: Path, origin: float) -> Table:
     """All columns of a file, fast; one that is not plain numbers goes to the parser that can say
-    what is wrong, and where."""
+    what is wrong, and where. origin: see `read_table`."""
     text = _text(path)
-    return _read_plain(path, text) or _read_with_care(path, text)
+    return _read_plain(path, text, origin) or _read_with_care(path, text, origin)
 
 
-def _read_plain(path: Path, text: str) -> Table | None:
+def _since(origin: float, columns: dict[str, Array], cells: Callable[[int], list[str]]) -> None:
+    """Take the origin off the columns of times, as decimals, as they are written: a float64 of 1e9
+    has steps of 100 ns. cells: the texts of the column of that number."""
+    begin = Decimal(repr(origin))
+    for j, name in enumerate(columns):
+        if origin and name in TIMES and np.isfinite(columns[name]).all():
+            columns[name] = np.array([float(Decimal(text) - begin) for text in cells(j)])
+
+
+def _read_plain(path: Path, text: str, origin: float = 0.0) -> Table | None:
     """The table of a text without quotes, whose lines all have as many numbers as there are names,
     None of another: the same bits, four times as fast as `_read_with_care`."""
     names, _, body = text.partition("\n")
@@ -246,10 +262,12 @@ def _read_plain(path: Path, text: str) -> Table | None:
     if values.shape != (body.rstrip("\r\n").count("\n") + 1, len(header)):
         return None
     columns = {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
-    return Table(path, columns, np.arange(2, len(values) + 2))
+    lines = body.rstrip("\r\n").split("\n") if origin else []
+    _since(origin, columns, lambda j: [line.split(",", j + 1)[j] for line in lines])
+    return Table(path, columns, np.arange(2, len(values) + 2), origin)
 
 
-def _read_with_care(path: Path, text: str) -> Table:
+def _read_with_care(path: Path, text: str, origin: float = 0.0) -> Table:
     rows = _csv_rows(path, text)
     first, names = next(rows, (1, []))
     header = _header(path, first, names)
@@ -278,7 +296,8 @@ def _read_with_care(path: Path, text: str) -> Table:
             f" found {found}, expected a number{hint}"
         ) from None
     columns = {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
-    return Table(path, columns, np.array(lines, dtype=np.int64))
+    _since(origin, columns, lambda j: [row[j] for row in cells])
+    return Table(path, columns, np.array(lines, dtype=np.int64), origin)
 
 
 def _number(text: str) -> float:
@@ -296,7 +315,7 @@ def _pyarrow() -> Any:
     return pyarrow
 
 
-def _read_parquet(path: Path) -> Table:
+def _read_parquet(path: Path, origin: float) -> Table:
     pyarrow, content = _pyarrow(), read_file(path)
     try:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
@@ -305,18 +324,21 @@ def _read_parquet(path: Path) -> Table:
         names = _header(path, 1, file.schema_arrow.names)
         table = file.read()
         columns = {
-            name: np.array(table.column(name).to_numpy(), dtype=np.float64) for name in names
+            name: np.array(table.column(name).to_numpy(), dtype=np.float64)
+            - (origin if name in TIMES else 0.0)
+            for name in names
         }
     except InputError:
         raise
     except (OSError, TypeError, ValueError, pyarrow.ArrowException) as error:
         raise InputError(f"{path}: not a readable Parquet table of numbers: {error}") from error
     # Numbered as the same table would be in CSV, below a line of names.
-    return Table(path, columns, np.arange(table.num_rows) + 2)
+    return Table(path, columns, np.arange(table.num_rows) + 2, origin)
 
 
-def read_table(folder: Path, stem: str) -> Table | None:
-    """The table of that name, all numbers finite; None when there is none.
+def read_table(folder: Path, stem: str, origin: float = 0.0) -> Table | None:
+    """The table of that name, all numbers finite; None when there is none. origin: s, taken off all
+    columns of times (`TIMES`), in CSV without loss of a digit.
 
     Raises InputError, naming file, line and column, on a file that is no table of numbers, and
     on a name that is a path.
@@ -326,20 +348,31 @@ def read_table(folder: Path, stem: str) -> Table | None:
         raise InputError(f"{folder}: found both {found[0].name} and {found[1].name}")
     if not found:
         return None
-    table = _read_csv(found[0]) if found[0].suffix == ".csv" else _read_parquet(found[0])
+    of_csv = found[0].suffix == ".csv"
+    table = _read_csv(found[0], origin) if of_csv else _read_parquet(found[0], origin)
     for name, values in table.columns.items():
         table.refuse(~np.isfinite(values), name, "a finite number")
     return table
 
 
-def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write columns of numbers (rows,) as CSV or Parquet, as the suffix of `path` says."""
+def write_table(path: Path, columns: Mapping[str, NDArray[Any]], origin: float = 0.0) -> None:
+    """Write columns of numbers (rows,) as CSV or Parquet, as the suffix of `path` says. origin: s,
+    put on all columns of times (`TIMES`), in CSV without loss of a digit."""
     if path.suffix == ".parquet":
         pyarrow = _pyarrow()
-        pyarrow.parquet.write_table(pyarrow.table(dict(columns)), path)
+        added = {n: c + origin if n in TIMES else c for n, c in columns.items()}
+        pyarrow.parquet.write_table(pyarrow.table(added), path)
         return
+    begin = Decimal(repr(float(origin)))
+
+    def stamp(t: float) -> str:
+        return format(Decimal(repr(t)) + begin, "f")
+
     # repr is the shortest text that reads back as the same number.
-    texts = [map(repr, np.asarray(column).tolist()) for column in columns.values()]
+    texts = [
+        map(stamp if origin and name in TIMES else repr, np.asarray(column).tolist())
+        for name, column in columns.items()
+    ]
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)

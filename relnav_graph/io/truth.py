@@ -78,8 +78,8 @@ def between(block: Block, t: Array, values: Array, times: Array, gap: float | No
     return out
 
 
-def _table(folder: Path, block: Block, constant: bool, sort: bool) -> Table | None:
-    table = read_table(folder, f"truth_{block.name}")
+def _table(folder: Path, block: Block, constant: bool, sort: bool, origin: float) -> Table | None:
+    table = read_table(folder, f"truth_{block.name}", origin)
     if table is None:
         return None
     columns, sigmas = component_columns(block), sigma_columns(block)
@@ -147,6 +147,7 @@ def read_truth(
     numbered: Mapping[str, Block] | None = None,
     gap: float | None = None,
     sort: bool = False,
+    origin: float = 0.0,
 ) -> Truth | None:
     """Truth of those of `blocks` that have a table ``truth_NAME``, at all their times, and at the
     `epochs` (M,), s, between them.
@@ -154,14 +155,14 @@ def read_truth(
     source: where it is from; statics: names of static blocks, which are known at all times where
     all rows of their table are the same; one row needs no time; numbered: families of numbered
     blocks, whose table has a row for each, by its id; gap: s, between rows further apart nothing is
-    interpolated; sort: put rows in order of time. Columns of sigmas (`sigma_columns`), all or
-    none, say how good the truth itself is. None without any table. Raises
+    interpolated; sort: put rows in order of time; origin: s, taken off all times. Columns of sigmas
+    (`sigma_columns`), all or none, say how good the truth itself is. None without any table. Raises
     InputError, naming file, line and column, on a table with other columns, times that do not
     increase, or a quaternion whose length is not one within 1e-3; it is normalised.
     """
     found = {}
     for name, block in blocks.items():
-        table = _table(folder, block, name in statics, sort)
+        table = _table(folder, block, name in statics, sort, origin)
         if table is not None:
             known = from_components(block, table.stack(component_columns(block)))
             found[name] = table, known

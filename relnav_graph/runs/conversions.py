@@ -42,8 +42,8 @@ def write_pass(opened: Any, target: Path, tables: Format) -> int:
     """Write a pass as a data set; how many epochs it has. Raises InputError."""
     s = opened.scenario
     origin = s.file.time.origin
-    stamped, blocks = opened.recording.shifted(origin), {b.name: b for b in s.layout}
-    write_dataset(target, s.raw, stamped, s.sensors, s.input_columns, blocks, tables, origin)
+    recording, blocks = opened.recording, {b.name: b for b in s.layout}
+    write_dataset(target, s.raw, recording, s.sensors, s.input_columns, blocks, tables, origin)
     return len(opened.recording.times)
 
 

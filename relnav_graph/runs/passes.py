@@ -221,7 +221,7 @@ def _recorded(scenario: Scenario, folder: Path) -> Recording:
     found = read_dataset(
         *(folder, *models, blocks, time.tolerance, layout.statics, time.origin, late),
         *((data.sort, data.truth_gap) if data is not None else ()),
-    ).shifted(-time.origin)
+    )
     if found.truth is None:
         return found
     truth = with_true_copies(found.truth, scenario.sensors)

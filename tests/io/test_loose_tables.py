@@ -88,3 +88,24 @@ def test_truth_is_not_read_across_a_gap_that_is_too_long(tmp_path: Path) -> None
         at, same = truth.at(np.array([1.0]))
         assert same.all()
         assert np.isfinite(truth.values["relative_velocity"][at]).all() == known
+
+
+@pytest.mark.parametrize("quoted", [False, True], ids=["plain", "with care"])
+def test_an_origin_is_taken_off_stamps_as_they_are_written(tmp_path: Path, quoted: bool) -> None:
+    """Unix stamps in nanoseconds, of which a float64 would lose the last two digits."""
+    stamps = ["1700000000.000000001", "1700000000.123456789", "1700000001.999999999"]
+    mark = '"' if quoted else ""
+    rows = "".join(f"{mark}{t}{mark},5\n" for t in stamps)
+    (tmp_path / "range.csv").write_text("t_s,range_m\n" + rows, "utf-8")
+    sensors = {"range": SENSORS["range"]}
+    got = read_dataset(tmp_path, sensors, {}, {}, origin=1.7e9)
+    assert [m.t for m in got.measurements] == [1e-9, 0.123456789, 1.999999999]
+    assert got.times.tolist() == [1e-9, 0.123456789, 1.999999999]
+    out = tmp_path / "out"
+    write_dataset(out, SCENARIO, got, sensors, {}, {}, origin=1.7e9)
+    assert [row.split(",")[0] for row in (out / "range.csv").read_text().splitlines()[1:]] == stamps
+    again = read_dataset(out, sensors, {}, {}, origin=1.7e9)
+    np.testing.assert_array_equal(again.times, got.times)
+    (tmp_path / "range.csv").write_text("t_s,range_m\n1700000005,5\n1700000004,5\n", "utf-8")
+    with pytest.raises(InputError, match=r"line 3, column t_s: found 1700000004\.0, expected"):
+        read_dataset(tmp_path, sensors, {}, {}, origin=1.7e9)

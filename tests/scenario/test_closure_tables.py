@@ -154,7 +154,7 @@ def written(folder: Path, origin: float = 0.0, change: Callable[..., Any] | None
     raw = tables()
     raw["time"] = {**raw["time"], "origin": origin}
     del raw["sensors"]["closures"]["keyframes"]  # the data say them
-    write_dataset(folder, raw, recording.shifted(origin), *models, origin=origin)
+    write_dataset(folder, raw, recording, *models, origin=origin)
     if change is not None:
         (folder / "dataset.toml").unlink()
         path = folder / "closures.csv"

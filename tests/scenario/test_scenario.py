@@ -216,12 +216,12 @@ def test_json_schema_is_whole(capsys: pytest.CaptureFixture[str]) -> None:
                 target = target[part]
         if isinstance(node.get("type"), str) and "properties" not in node.get("type", ""):
             assert node["type"] in types
-    assert {"title", "processes", "sensors", "prior"} <= set((whole := schema["else"])["required"])
+    assert {"title", "processes", "sensors", "prior"} <= set(schema["else"]["required"])
     assert schema["additionalProperties"] is False
     kinds = {
         section: {
             choice["properties"]["kind"].get("const")
-            for choice in whole["properties"][section]["additionalProperties"]["anyOf"]
+            for choice in schema["else"]["properties"][section]["additionalProperties"]["anyOf"]
         }
         for section in ("processes", "sensors", "inputs")
     }

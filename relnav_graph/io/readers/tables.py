@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.dataset import read_dataset
@@ -49,38 +51,54 @@ def read(
     if epoch and stamps:
         raise InputError(f"found epoch {epoch!r} and stamps {stamps!r}, expected one of them")
     chosen = set(only) or names
-    found = read_dataset(
-        folder,
-        {n: s for n, s in known.sensors.items() if n in chosen},
-        {n: columns for n, columns in known.inputs.items() if n in chosen},
-        known.blocks if not only else {},
-        known.merge,
-        known.statics,
-        known.origin,
-        known.late,
-        sort,
-        partial=True,
-    )
+
+    def taken(origin: float) -> Recording:
+        return read_dataset(
+            folder,
+            {n: s for n, s in known.sensors.items() if n in chosen},
+            {n: columns for n, columns in known.inputs.items() if n in chosen},
+            known.blocks if not only else {},
+            known.merge,
+            known.statics,
+            origin,
+            known.late,
+            sort,
+            partial=True,
+        )
+
+    origin = known.origin
+    found = taken(origin)
     if not (found.measurements or found.inputs or found.truth):
         raise InputError(f"{folder}: found no table of {', '.join(sorted(chosen))}")
+    if (epoch or stamps) and not origin:  # whole seconds, so that no digit of late stamps is lost
+        origin = float(np.floor(min(_ends(found))))
+        found = taken(origin)
+    zero = found.epoch
     if epoch or stamps:
-        begin = Instant.parse(epoch) if epoch else _begin(folder, found, stamps)
-        found = replace(found, settings={**found.settings, "time": {"epoch": str(begin)}})
-    return found
+        ends = [t + origin for t in _ends(found)]
+        zero = Instant.parse(epoch) if epoch else _begin(folder, ends, stamps)
+    time = {"origin": 0.0} if zero is None else {"epoch": str(zero.after(origin))}
+    return replace(found, settings={**found.settings, "time": time})
 
 
-def _begin(folder: Path, found: Recording, stamps: str) -> Instant:
-    """When a stamp of 0 is, counted back in seconds of today."""
-    if stamps == "gps":
-        return Instant.of(_GPS, 0.0, "GPS")
-    if stamps != "unix":
-        raise InputError(f"found stamps {stamps!r}, expected unix or gps")
-    times = [*found.times.tolist()]
+def _ends(found: Recording) -> list[float]:
+    """The earliest and the latest times of all that is there, s."""
+    times = [*found.times[[0, -1]].tolist()] if len(found.times) else []
     for series in found.inputs.values():
         times += [float(series.t_start[0]), float(series.t_end[-1])]
     if found.truth is not None:
         times += found.truth.t[[0, -1]].tolist()
-    first, last = (_UNIX + int(t // _DAY) for t in (min(times), max(times)))
+    return [min(times), max(times)]
+
+
+def _begin(folder: Path, ends: Sequence[float], stamps: str) -> Instant:
+    """When a stamp of 0 is, counted back in seconds of today. ends: the first and the last stamp,
+    s."""
+    if stamps == "gps":
+        return Instant.of(_GPS, 0.0, "GPS")
+    if stamps != "unix":
+        raise InputError(f"found stamps {stamps!r}, expected unix or gps")
+    first, last = (_UNIX + int(t // _DAY) for t in ends)
     leaps = leap_seconds(first)
     if leap_seconds(last) != leaps:
         raise InputError(
