@@ -16,12 +16,14 @@ from relnav_graph.files import file_in
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.maps import family_table
 from relnav_graph.io.tabular import component_columns, tangent_columns, to_components, write_table
+from relnav_graph.scoring.deviations import derived_estimates
 
 __all__ = ["write_csv"]
 
 
 def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
-    """One table per track, and per smoothed track: time, components, sigmas; SI and rad.
+    """One table per track, and per smoothed track: time, components, sigmas; SI and rad; of the
+    blocks, and of what is derived of them, such as the relative attitude.
 
     Attitudes are quaternions, their sigmas rotation angles about the axes on the right of
     the frame's letters. Static blocks have a table ``NAME_statics`` of their own: one row without
@@ -42,10 +44,17 @@ def write_csv(folder: str | os.PathLike[str], tracks: Sequence[Track]) -> None:
 
 def _add(tables: dict[str, dict[str, Array]], name: str, track: Track) -> None:
     """The tables of one track."""
+    derived = derived_estimates(track).values()
     found = {name: {"t_s": track.t, **_columns(track, track.layout)}}
+    for state in derived:
+        if not state.constant:
+            found[name] |= _block_columns(state.block, state.value, state.P)
     if track.statics is not None:
         layout = track.statics.layout
         own = _columns(track, [b for b in layout if b.number is None])
+        for state in derived:
+            if state.constant:
+                own |= _block_columns(state.block, state.value, state.P)
         one = len(track.t) > 0 and all((c == c[0]).all() for c in own.values())
         if own:
             found[f"{name}_statics"] = (
@@ -65,12 +74,18 @@ def _columns(track: Track, blocks: Iterable[Block]) -> dict[str, Array]:
     """Components of blocks, and their sigmas, (N,) each."""
     columns = {}
     for block in blocks:
-        components = to_components(block, track.value(block.name))
-        variances = np.diagonal(track.covariance(block.name), axis1=1, axis2=2)
-        with np.errstate(invalid="ignore"):  # a diverged track: NaN says so
-            sigmas = np.sqrt(variances)
-        for name, values in zip(component_columns(block), components.T, strict=True):
-            columns[f"{block.name}_{name}"] = values
-        for name, values in zip(tangent_columns(block), sigmas.T, strict=True):
-            columns[f"sigma_{block.name}_{name}"] = values
+        columns |= _block_columns(block, track.value(block.name), track.covariance(block.name))
+    return columns
+
+
+def _block_columns(block: Block, value: Array, P: Array) -> dict[str, Array]:
+    components = to_components(block, value)
+    with np.errstate(invalid="ignore"):  # a diverged track: NaN says so
+        sigmas = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    columns = {
+        f"{block.name}_{name}": values
+        for name, values in zip(component_columns(block), components.T, strict=True)
+    }
+    for name, values in zip(tangent_columns(block), sigmas.T, strict=True):
+        columns[f"sigma_{block.name}_{name}"] = values
     return columns
