@@ -143,7 +143,7 @@ def results(summary: Mapping[str, Any]) -> dict[str, Table]:
             s: v["unit"]
             for row in rows.values()
             for s, v in row["states"].items()
-            if s not in row.get("statics", {})
+            if s not in row.get("statics", {}) and "estimate" not in v
         }
         body = []
         for state, unit in units.items():
@@ -216,7 +216,7 @@ def aligned(summary: Mapping[str, Any]) -> Table | None:
 
 
 def estimated(summary: Mapping[str, Any]) -> Table | None:
-    """The last estimates of states that truth does not know, with their sigmas; None without any."""
+    """The last estimates, with sigmas, of states that truth does not know; None without any."""
     found: dict[str, list[list[Cell]]] = {}
     for name, row in summary["estimators"].items():
         for state, one in (row["states"] | row.get("statics", {})).items():

@@ -173,8 +173,8 @@ def _of_pass(content: PassContents, gallery: Gallery, draw: Sequence[str] = ()) 
     blind = content.truth is None and not any(track.truth for track in content.tracks)
     if blind:
         caption = (
-            "Estimates with ±3 sigma, of an attitude the quaternion; below, how far each is from the"
-            " smoother that tells most, with its own ±3 sigma. No truth is known."
+            "Estimates with ±3 sigma, of an attitude the quaternion; below, how far each is from"
+            " the smoother that tells most, with its own ±3 sigma. No truth is known."
         )
     for state, figure in error_figures(content.tracks, content.truth, derived, draw).items():
         title = f"{'Estimates' if blind else 'Errors'}: {plain(state)}"
@@ -182,8 +182,8 @@ def _of_pass(content: PassContents, gallery: Gallery, draw: Sequence[str] = ()) 
     strips = consistency_figure(content.tracks, content.truth, derived, draw)
     if strips is not None:
         caption = (
-            "NEES: normalised error squared per freedom, of all states jointly, where truth is known."
-            " NIS: the same of residual rows of each sensor, of filters their innovations, of"
+            "NEES: normalised error squared per freedom, of all states jointly, where truth is"
+            " known. NIS: that of residual rows of each sensor, of filters their innovations, of"
             " smoothers their residuals in units of what is left to them, as means over intervals."
             " Both are 1 in the mean; 95 % of what a consistent filter gives lies in the band."
         )
