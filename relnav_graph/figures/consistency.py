@@ -60,7 +60,7 @@ def _band(ax: Axes, t: Array, freedoms: Array) -> None:
 
 def _limit_ratio(ax: Axes) -> None:
     """From 0, or on a logarithmic scale where a row leaves the band by far."""
-    shown = [np.asarray(line.get_ydata(), float) for line in ax.lines if len(line.get_xdata()) > 2]
+    shown = [np.asarray(line.get_ydata(), float) for line in ax.lines]
     values = np.concatenate([*shown, np.ones(1)])
     values = values[np.isfinite(values) & (values > 0)]
     if values.max() > 8:

@@ -37,8 +37,9 @@ def png(figure: Figure, transparent: bool = False, dpi: int = _DPI) -> bytes:
     figure.set_dpi(dpi)
     try:
         canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        size, buffer = canvas.get_width_height(), canvas.buffer_rgba()
+        canvas.draw()  # type: ignore[no-untyped-call]
+        size = canvas.get_width_height()
+        buffer = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
         picture = Image.frombuffer("RGBA", size, buffer, "raw", "RGBA", 0, 1)
         few = (picture if transparent else picture.convert("RGB")).quantize(
             _COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE

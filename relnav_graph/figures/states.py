@@ -184,7 +184,12 @@ def _draw_quaternion(ax: Axes, lines: Sequence[_Line]) -> None:
     ax.set_ylim(-1.05, 1.05)
     ax.set_ylabel("quaternion")
     for k, (name, colour) in enumerate(zip("wxyz", _QUATERNION, strict=True)):
-        at = {"transform": ax.transAxes, "ha": "left", "va": "bottom", "fontsize": 7}
+        at: dict[str, Any] = {
+            "transform": ax.transAxes,
+            "ha": "left",
+            "va": "bottom",
+            "fontsize": 7,
+        }
         ax.text(1.005, 0.72 - 0.22 * k, name, color=colour, **at)
 
 

@@ -186,8 +186,16 @@ def panels(
     if look.titled and title:
         axes[0].set_title(title, loc="left", pad=5)
     if labels:
-        at = {"loc": "upper left", "bbox_to_anchor": (_LEFT / look.width, 1 - 0.02 / high)}
-        box = {"borderaxespad": 0, "borderpad": 0, "handlelength": 1.8, "columnspacing": 1.4}
+        at: dict[str, Any] = {
+            "loc": "upper left",
+            "bbox_to_anchor": (_LEFT / look.width, 1 - 0.02 / high),
+        }
+        box: dict[str, Any] = {
+            "borderaxespad": 0,
+            "borderpad": 0,
+            "handlelength": 1.8,
+            "columnspacing": 1.4,
+        }
         figure.legend(handles=handles, ncols=columns, **at, **box)
     return figure, axes
 
