@@ -9,6 +9,8 @@ import click
 from relnav_graph.cli.shared import (
     check_before_work,
     command_line,
+    drawing,
+    drawing_options,
     report,
     show_events,
     show_progress,
@@ -26,6 +28,7 @@ from relnav_graph.runs.passes import open_pass
 @click.option("--data", type=click.Path(path_type=Path), help="RecordedSource data to use.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Change a setting.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for results.")
+@drawing_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     scenario: Path,
@@ -35,6 +38,8 @@ def command(
     data: Path | None,
     assignments: tuple[str, ...],
     out: Path | None,
+    draw: tuple[str, ...],
+    formats: tuple[str, ...],
     as_json: bool,
 ) -> int:
     """Run estimators on SCENARIO and score them against the truth.
@@ -46,11 +51,12 @@ def command(
     check_before_work(kinds, out)
     show_events()
     opened = open_pass(scenario, seed, data, assignments, number, loops=True)
+    drawn = drawing(draw, formats, kinds or opened.scenario.file.estimators, ("svg", "png"))
     found = compare_pass(opened, kinds, show_progress)
     try:
         if out is not None:
             show_progress(f"writing {out} ...")
-            write_outputs(out, opened, found, command_line())
+            write_outputs(out, opened, found, command_line(), drawn)
     finally:  # what was estimated is told even where it could not be written
         code = report(found.summary, as_json)
     return code

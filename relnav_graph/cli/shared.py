@@ -13,12 +13,15 @@ import click
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import find_estimator
 from relnav_graph.files import printable
+from relnav_graph.runs.outputs import Drawing
 from relnav_graph.scoring.text import table as comparison_table
 
 __all__ = [
     "check_before_work",
     "check_fragment",
     "command_line",
+    "drawing",
+    "drawing_options",
     "report",
     "show_events",
     "show_progress",
@@ -43,6 +46,42 @@ def show_events() -> None:
     if not any(isinstance(h, _Events) for h in logger.handlers):
         logger.addHandler(_Events())
         logger.setLevel(logging.INFO)
+
+
+def drawing_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options `draw` and `formats` of a command that draws figures."""
+    draw = click.option(
+        "--draw",
+        multiple=True,
+        metavar="NAME",
+        help="Row to draw, may be repeated; by default at most three that tell most.",
+    )
+    figures = click.option(
+        "--figures",
+        "formats",
+        multiple=True,
+        type=click.Choice(["png", "svg", "pdf", "none"]),
+        help="Format of figures, may be repeated: pdf is as wide as a column, 85 mm.",
+    )
+    return draw(figures(command))
+
+
+def drawing(
+    draw: Sequence[str], formats: Sequence[str], kinds: Sequence[str], usual: Sequence[str]
+) -> Drawing:
+    """What the options say: rows to draw, of estimators `kinds`, in formats, `usual` without any.
+
+    Raises InputError, before any work, on a row that no estimator has.
+    """
+    known = [name for kind in kinds for name in (kind, f"{kind}_smoothed")]
+    missing = [name for name in draw if name not in known]
+    if missing:
+        raise InputError(
+            f"--draw: found {missing[0]!r}, expected an estimator of this pass: {', '.join(kinds)},"
+            " or its row NAME_smoothed"
+        )
+    chosen = dict.fromkeys(formats or usual)
+    return Drawing(tuple(draw), tuple(f for f in chosen if f != "none"))
 
 
 def command_line() -> str:

@@ -9,6 +9,8 @@ import click
 from relnav_graph.cli.shared import (
     check_before_work,
     command_line,
+    drawing,
+    drawing_options,
     report,
     show_events,
     show_progress,
@@ -26,6 +28,7 @@ from relnav_graph.runs.passes import open_dataset
     "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder for results."
 )
 @click.option("--trust", is_flag=True, help="Let the data set name modules to import.")
+@drawing_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     dataset: Path,
@@ -33,16 +36,19 @@ def command(
     assignments: tuple[str, ...],
     out: Path,
     trust: bool,
+    draw: tuple[str, ...],
+    formats: tuple[str, ...],
     as_json: bool,
 ) -> int:
     """Smooth the pass recorded in DATASET, by the scenario that lies in it."""
     check_before_work(kinds, out)
     show_events()
     opened = open_dataset(dataset, assignments, trust)
+    drawn = drawing(draw, formats, kinds or ("batch",), ("svg", "png"))
     found = compare_pass(opened, kinds or ("batch",), show_progress)
     try:
         show_progress(f"writing {out} ...")
-        write_outputs(out, opened, found, command_line())
+        write_outputs(out, opened, found, command_line(), drawn)
     finally:  # what was estimated is told even where it could not be written
         code = report(found.summary, as_json)
     return code

@@ -98,7 +98,8 @@ class Track(Shown):
     downweighted: those that
     a robust loss lets count for less; step_s: time of each
     online step, s; smoothed: for an online estimator, the track that it ends with;
-    innovations: of a filter, by sensor; truth: of the pass, where the estimator flew one of
+    innovations: of a filter, by sensor, of a smoother its standardised residuals where they were
+    asked for; truth: of the pass, where the estimator flew one of
     its own; controlled: the errors of control there, whose aim is zero; cautions: what leaves
     the status as it is, and must be known all the same; statics: of the blocks that do not move,
     where there are any; extra: value and covariance (d, d) of each variable that is of no block,

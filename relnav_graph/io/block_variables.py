@@ -16,9 +16,15 @@ from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.io.netcdf import Attributes, Group, Variable
 from relnav_graph.io.stored import check_json
-from relnav_graph.io.tabular import to_components
+from relnav_graph.io.tabular import component_columns, tangent_columns, to_components
 
-__all__ = ["block_of", "block_variable", "family_variables", "stored_family"]
+__all__ = [
+    "block_of",
+    "block_variable",
+    "derived_variables",
+    "family_variables",
+    "stored_family",
+]
 
 
 def _definition(block: Block) -> Attributes:
@@ -34,6 +40,7 @@ def _definition(block: Block) -> Attributes:
         "tangent_units": block.unit,
         "frame": block.frame,
         "table_units": block.table_unit,
+        "component_names": " ".join(component_columns(block)),
     }
 
 
@@ -41,6 +48,24 @@ def block_variable(block: Block, values: Array, over: str = "time") -> Variable:
     """A block over time, or over the pass, with its definition in the attributes."""
     components = to_components(block, values)
     return Variable((over, f"{block.name}_component"), components, _definition(block))
+
+
+def derived_variables(block: Block, values: Array, P: Array, constant: bool) -> dict[str, Variable]:
+    """A derived quantity, (N, 3, 3) or (N, dim), with its covariance P (N, dim, dim), over time, or
+    over the pass where it is constant and all epochs say the same."""
+    one = constant and len(values) > 1 and bool((values == values[:1]).all() and (P[:1] == P).all())
+    if one:
+        values, P = values[:1], P[:1]
+    over, tangent = "pass" if one else "time", f"{block.name}_tangent"
+    what: Attributes = {
+        "units": f"{block.unit}^2",
+        "long_name": f"covariance of {block.name}, right perturbation",
+        "component_names": " ".join(tangent_columns(block)),
+    }
+    return {
+        block.name: block_variable(block, values, over),
+        f"{block.name}_covariance": Variable((over, tangent, f"{tangent}_2"), P, what),
+    }
 
 
 @dataclass(frozen=True)

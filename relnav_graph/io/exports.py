@@ -15,6 +15,7 @@ from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 from relnav_graph.io.tabular import component_columns, tangent_columns, to_components
+from relnav_graph.io.track_tables import block_columns
 from relnav_graph.scoring.deviations import StateEstimates, estimates
 
 __all__ = ["columns_of", "states_of", "to_dataframe", "to_xarray"]
@@ -34,15 +35,10 @@ def _sigma(P: Array) -> Array:
 
 
 def columns_of(states: Mapping[str, StateEstimates]) -> dict[str, Array]:
-    """Components of states, and their sigmas, (N,) each, by the names of columns: SI and rad,
-    attitudes as quaternions, their sigmas angles about the axes on the right of their frame."""
-    columns = {}
+    """Components of states, and their sigmas, (N,) each: see `block_columns`."""
+    columns = dict[str, Array]()
     for name, state in states.items():
-        components = to_components(state.block, state.value)
-        for column, values in zip(component_columns(state.block), components.T, strict=True):
-            columns[f"{name}_{column}"] = values
-        for column, values in zip(tangent_columns(state.block), _sigma(state.P).T, strict=True):
-            columns[f"sigma_{name}_{column}"] = values
+        columns |= block_columns(name, state.block, state.value, state.P)
     return columns
 
 

@@ -11,7 +11,10 @@ others, with ``static_covariance``, and ``cross_covariance`` with the states of 
 the same, as smoothers do. A family of numbered ones, such as the points of a map, is one variable,
 with ``point_id`` and the ``point_covariance`` of each.
 
-Observations that were not used are ``left_out_sensor``, ``left_out_time`` and ``left_out_id``.
+What follows from the blocks, such as the relative attitude, stands beside them with a covariance of
+its own, ``NAME_covariance``. Innovations of a filter, or standardised residuals of a smoother, are
+``innovations_SENSOR``, with their times. Observations that were not used are ``left_out_sensor``,
+``left_out_time`` and ``left_out_id``.
 """
 
 from __future__ import annotations
@@ -34,13 +37,16 @@ from relnav_graph.errors import InputError
 from relnav_graph.io.block_variables import (
     block_of,
     block_variable,
+    derived_variables,
     family_variables,
     stored_family,
 )
+from relnav_graph.io.innovations import innovation_variables, stored_innovations
 from relnav_graph.io.left_out import left_out_variables, stored_left_out
 from relnav_graph.io.netcdf import Attributes, Group, Variable, read_groups, write_groups
 from relnav_graph.io.stored import Count, check_json
 from relnav_graph.io.tabular import from_components, tangent_columns
+from relnav_graph.scoring.deviations import derived_estimates
 
 __all__ = ["cautions_in", "cautions_out", "read_results", "write_results"]
 
@@ -111,6 +117,9 @@ def _track_group(track: Track, smoothed: str, truth: str) -> Group:
     variables["covariance"] = Variable(("time", "state", "state_2"), track.P, covariance)
     if track.statics is not None:
         variables |= _statics_variables(track.statics)
+    for state in derived_estimates(track).values():
+        variables |= derived_variables(state.block, state.value, state.P, state.constant)
+    variables |= innovation_variables(track.innovations)
     variables |= left_out_variables(track.left_out)
     if track.step_s is not None:
         step: Attributes = {"units": "s", "long_name": "computing time of each online step"}
@@ -343,6 +352,7 @@ def _track(path: str, groups: Mapping[str, Group], name: str, nested: bool = Fal
             block_of(where, n, _variable(where, truth, n)) for n in controlled if truth is not None
         ),
         left_out=stored_left_out(where, group),
+        innovations=stored_innovations(where, group),
         retired=tuple(a.retired.split()),
         cautions=tuple(a.cautions),
         statics=_statics(where, group, layout, len(t)),

@@ -22,14 +22,16 @@ from relnav_graph.io.tabular import (
     to_components,
     write_table,
 )
+from relnav_graph.scoring.deviations import derived_estimates
 
-__all__ = ["write_csv"]
+__all__ = ["block_columns", "write_csv"]
 
 
 def write_csv(
     folder: str | os.PathLike[str], tracks: Sequence[Track], tables: Format = "csv"
 ) -> None:
-    """One table per track, and per smoothed track: time, components, sigmas; SI and rad.
+    """One table per track, and per smoothed track: time, components, sigmas; SI and rad; of the
+    blocks, and of what is derived of them, such as the relative attitude.
 
     Attitudes are quaternions, their sigmas rotation angles about the axes on the right of
     the frame's letters. Static blocks have a table ``NAME_statics`` of their own: one row without
@@ -50,10 +52,17 @@ def write_csv(
 
 def _add(tables: dict[str, dict[str, Array]], name: str, track: Track) -> None:
     """The tables of one track."""
+    derived = derived_estimates(track).values()
     found = {name: {"t_s": track.t, **_columns(track, track.layout)}}
+    for state in derived:
+        if not state.constant:
+            found[name] |= block_columns(state.block.name, state.block, state.value, state.P)
     if track.statics is not None:
         layout = track.statics.layout
         own = _columns(track, [b for b in layout if b.number is None])
+        for state in derived:
+            if state.constant:
+                own |= block_columns(state.block.name, state.block, state.value, state.P)
         one = len(track.t) > 0 and all((c == c[0]).all() for c in own.values())
         if own:
             found[f"{name}_statics"] = (
@@ -73,12 +82,25 @@ def _columns(track: Track, blocks: Iterable[Block]) -> dict[str, Array]:
     """Components of blocks, and their sigmas, (N,) each."""
     columns = {}
     for block in blocks:
-        components = to_components(block, track.value(block.name))
-        variances = np.diagonal(track.covariance(block.name), axis1=1, axis2=2)
-        with np.errstate(invalid="ignore"):  # a diverged track: NaN says so
-            sigmas = np.sqrt(variances)
-        for name, values in zip(component_columns(block), components.T, strict=True):
-            columns[f"{block.name}_{name}"] = values
-        for name, values in zip(tangent_columns(block), sigmas.T, strict=True):
-            columns[f"sigma_{block.name}_{name}"] = values
+        columns |= block_columns(
+            block.name, block, track.value(block.name), track.covariance(block.name)
+        )
+    return columns
+
+
+def block_columns(name: str, block: Block, value: Array, P: Array) -> dict[str, Array]:
+    """Components (N,) of a state and their sigmas, by the names of columns: SI and rad; attitudes
+    as quaternions, their sigmas angles about the axes on the right of their frame.
+
+    value: (N, 3, 3) or (N, dim); P: (N, dim, dim). NaN is the sigma of what has none.
+    """
+    components = to_components(block, value)
+    variances = np.diagonal(P, axis1=1, axis2=2)
+    sigmas = np.sqrt(np.where(variances >= 0, variances, np.nan))
+    columns = {
+        f"{name}_{column}": values
+        for column, values in zip(component_columns(block), components.T, strict=True)
+    }
+    for column, values in zip(tangent_columns(block), sigmas.T, strict=True):
+        columns[f"sigma_{name}_{column}"] = values
     return columns

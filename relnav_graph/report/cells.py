@@ -9,6 +9,7 @@ from typing import Any
 from relnav_graph.report.contents import WorstRun
 from relnav_graph.report.figures import KINDS, plain
 from relnav_graph.scoring.text import ALIGNMENT
+from relnav_graph.scoring.told import value_text
 
 __all__ = ["Cell", "Table", "number"]
 
@@ -75,7 +76,7 @@ def _inside(value: float | None, band: Sequence[float] | None, digits: int = 3) 
 def overview(summary: Mapping[str, Any]) -> Table:
     """A row per estimator: kind, status, cost, joint ANEES."""
     head = ["row", "kind", "status", "runs", "run time [s]", "step, median [ms]",
-            "ANEES", "95 % band", "rejected"]  # fmt: skip
+            "ANEES", "95 % band", "apart [sigma]", "rejected"]  # fmt: skip
     rows = []
     for name, row in summary["estimators"].items():
         status = Cell(row["status"], "good" if row["status"] == "ok" else "bad")
@@ -91,6 +92,7 @@ def overview(summary: Mapping[str, Any]) -> Table:
                     number(row.get("step_ms", {}).get("median"), 3),
                     _inside(row["anees"], row["anees_band"], 4),
                     _interval(row["anees_band"], 4),
+                    number(row.get("distance"), 2),
                     rejected,
                 ]
             )
@@ -141,7 +143,7 @@ def results(summary: Mapping[str, Any]) -> dict[str, Table]:
             s: v["unit"]
             for row in rows.values()
             for s, v in row["states"].items()
-            if s not in row.get("statics", {})
+            if s not in row.get("statics", {}) and "estimate" not in v
         }
         body = []
         for state, unit in units.items():
@@ -211,6 +213,50 @@ def aligned(summary: Mapping[str, Any]) -> Table | None:
         found = [one["states"].get(state, {}).get("rmse") for one in rows.values()]
         body.append([Cell(_unit(state, unit), "strong"), *(Cell(number(v)) for v in found)])
     return Table(["error", *rows], body)
+
+
+def estimated(summary: Mapping[str, Any]) -> Table | None:
+    """The last estimates, with sigmas, of states that truth does not know; None without any."""
+    found: dict[str, list[list[Cell]]] = {}
+    for name, row in summary["estimators"].items():
+        for state, one in (row["states"] | row.get("statics", {})).items():
+            if "estimate" not in one:
+                continue
+            e = one["estimate"]
+            pairs = zip(e["components"], e["value"], strict=True)
+            if len(e["value"]) == len(e["sigma"]):
+                both = zip(e["components"], e["value"], e["sigma"], strict=True)
+                said = ", ".join(f"{c} {value_text(v, s)}" for c, v, s in both)
+            else:
+                said = ", ".join(f"q_{c} {v:.6f}" for c, v in pairs)
+                said += "; ± " + ", ".join(f"{s:.2g}" for s in e["sigma"]) + f" {one['unit']}"
+            said = said.replace("-", "−")
+            line = _cells([name, row["kind"], said, number(one["sigma"])])
+            found.setdefault(_unit(state, one["unit"]), []).append(line)
+    body = [part for s, rows in found.items() for part in ([Cell(s, "strong")], *rows)]
+    head = ["row", "kind", "estimate at the last epoch, ± 1-sigma", "1-sigma, pass"]
+    return Table(head, body, 3) if body else None
+
+
+def residuals(summary: Mapping[str, Any]) -> Table | None:
+    """Residuals of a pass by row and sensor; None without any, and of a study."""
+    body = []
+    for name, row in summary["estimators"].items():
+        for sensor, one in () if "runs" in summary else row.get("sensors", {}).items():
+            nis = _inside(one["nis"], one.get("nis_band"))
+            lag = number(one.get("lag_correlation"), 2)
+            kind = "innovations" if row["kind"] == "filtered" else "residuals, standardised"
+            ends = [_interval(one.get("nis_band")), lag, _interval(one.get("lag_band"), 2)]
+            body.append(_cells([name, sensor, kind, one["rows"], nis, *ends]))
+    head = ["row", "sensor", "of what", "rows", "mean square", "95 % band", "lag correlation",
+            "95 % band"]  # fmt: skip
+    return Table(head, body, 3) if body else None
+
+
+def declared(summary: Mapping[str, Any]) -> Table | None:
+    """The verdict on the declared noises of one pass; None where there is none."""
+    found = summary.get("noise", {})
+    return noises({"verdict": found}) if found.get("noises") else None
 
 
 def judgements(summary: Mapping[str, Any]) -> Table:

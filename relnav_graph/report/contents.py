@@ -200,6 +200,7 @@ def _read_pass(path: Path, trust: bool) -> PassContents:
         len(tracks[0].t),
         cautions_in(f"{path / 'results.nc'}, cautions", attributes.get("cautions", "[]")),
         scenario.scored,
+        check_json(f"{path / 'results.nc'}, noise", attributes.get("noise", "{}").encode(), dict),
     )
     where, text = f"{path / 'results.nc'}, times_seen", attributes.get("times_seen", "{}")
     seen = check_json(where, text.encode(), dict[str, Count])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -13,7 +13,13 @@ from matplotlib.figure import Figure
 
 from relnav_graph.constants import VERSION
 from relnav_graph.errors import InputError
-from relnav_graph.figures import error_figures, map_figure, trajectory_figure
+from relnav_graph.figures import (
+    consistency_figure,
+    error_figures,
+    map_figure,
+    residual_figure,
+    trajectory_figure,
+)
 from relnav_graph.io.atomic import atomic
 from relnav_graph.report import cells, setting
 from relnav_graph.report.contents import PassContents, StudyContents
@@ -143,18 +149,18 @@ def _over_runs(study: StudyContents, gallery: Gallery) -> dict[str, list[Shown]]
     }
 
 
-def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
-    """The scene of a pass, and its figures."""
+def _of_pass(content: PassContents, gallery: Gallery, draw: Sequence[str] = ()) -> dict[str, Any]:
+    """The scene of a pass, and its figures; draw: rows, see `chosen_rows`."""
     derived = content.scenario.derived
     shown: dict[str, Any] = {"scene": None, "path": None, "map": None, "errors": []}
     scene = make_scene(content)
     if scene is not None:
         shown["scene"] = gallery.add_scene(scene)
-    path = trajectory_figure(content.tracks, content.truth, derived)
+    path = trajectory_figure(content.tracks, content.truth, derived, draw)
     if path is not None:
         caption = "The path of the chaser relative to the target, in the three planes of the frame."
         shown["path"] = gallery.add("Relative position", caption, path)
-    points = map_figure(content.tracks, content.truth, content.seen)
+    points = map_figure(content.tracks, content.truth, content.seen, draw)
     if points is not None:
         caption = (
             "The points of the target that nobody knew before, as at the last epoch of each row,"
@@ -164,10 +170,28 @@ def _of_pass(content: PassContents, gallery: Gallery) -> dict[str, Any]:
         shown["map"] = gallery.add("Map", caption, points)
     what = "Errors (truth minus estimate) with ±3 sigma about zero; a consistent estimator leaves"
     caption = f"{what} its band in 0.3 % of the epochs."
-    if content.truth is None and not any(track.truth for track in content.tracks):
-        caption = "The 1-sigma that each estimator predicts; no truth is known."
-    for state, figure in error_figures(content.tracks, content.truth, derived).items():
-        shown["errors"].append(gallery.add(f"Errors: {plain(state)}", caption, figure))
+    blind = content.truth is None and not any(track.truth for track in content.tracks)
+    if blind:
+        caption = (
+            "Estimates with ±3 sigma, of an attitude the quaternion; below, how far each is from"
+            " the smoother that tells most, with its own ±3 sigma. No truth is known."
+        )
+    for state, figure in error_figures(content.tracks, content.truth, derived, draw).items():
+        title = f"{'Estimates' if blind else 'Errors'}: {plain(state)}"
+        shown["errors"].append(gallery.add(title, caption, figure))
+    strips = consistency_figure(content.tracks, content.truth, derived, draw)
+    if strips is not None:
+        caption = (
+            "NEES: normalised error squared per freedom, of all states jointly, where truth is"
+            " known. NIS: that of residual rows of each sensor, of filters their innovations, of"
+            " smoothers their residuals in units of what is left to them, as means over intervals."
+            " Both are 1 in the mean; 95 % of what a consistent filter gives lies in the band."
+        )
+        shown["errors"].append(gallery.add("Consistency over the pass", caption, strips))
+    residuals = residual_figure(content.tracks, draw) if blind else None
+    if residuals is not None:
+        caption = "Residual rows in their own sigmas; lines at 1.96 and 3 sigma."
+        shown["errors"].append(gallery.add("Residuals over the pass", caption, residuals))
     return shown
 
 
@@ -239,9 +263,11 @@ def _ranges(runs: list[int]) -> str:
     return ", ".join(parts())
 
 
-def render(content: StudyContents | PassContents, plotly: str | None = None) -> str:
+def render(
+    content: StudyContents | PassContents, plotly: str | None = None, draw: Sequence[str] = ()
+) -> str:
     """The page as text. plotly: source of plotly.js, by default of the one installed; an
-    empty one leaves images only.
+    empty one leaves images only; draw: rows of one pass to draw, by default at most three.
 
     Raises InputError when it would be larger than `MAX_BYTES`.
     """
@@ -254,6 +280,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "summary": summary,
         "scenario": scenario,
         "time": scenario.file.time,
+        "orbit": setting.orbit(scenario),
         "models": setting.models(scenario),
         "simulated": setting.simulated(scenario),
         "prior": setting.prior(scenario),
@@ -262,6 +289,9 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
         "cautions": cells.cautions(summary),
         "results": cells.results(summary),
         "consistency": consistency_lines(summary),
+        "estimated": cells.estimated(summary),
+        "residuals": cells.residuals(summary),
+        "declared": None if study else cells.declared(summary),
         "constants": cells.constants(summary),
         "aligned": cells.aligned(summary),
         "command": content.command,
@@ -271,7 +301,7 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
     if isinstance(content, StudyContents):
         context |= _study_context(content, gallery)
     else:
-        context["figures"] = {"pass": _of_pass(content, gallery)}
+        context["figures"] = {"pass": _of_pass(content, gallery, draw)}
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
@@ -289,10 +319,13 @@ def render(content: StudyContents | PassContents, plotly: str | None = None) -> 
     return text
 
 
-def write_report(content: StudyContents | PassContents, folder: Path) -> Path:
-    """Write ``report.html`` into a folder, whole or not at all. Raises InputError."""
+def write_report(
+    content: StudyContents | PassContents, folder: Path, draw: Sequence[str] = ()
+) -> Path:
+    """Write ``report.html`` into a folder, whole or not at all; draw: see `render`. Raises
+    InputError."""
     path = folder / "report.html"
-    text = render(content)
+    text = render(content, draw=draw)
     with atomic(path) as staged:
         staged.write_text(text, "utf-8")
     return path

@@ -13,7 +13,7 @@ from relnav_graph.report.cells import Cell, Table
 from relnav_graph.report.figures import plain
 from relnav_graph.scenario.scenario import Scenario
 
-__all__ = ["models", "prior", "simulated", "toml"]
+__all__ = ["models", "orbit", "prior", "simulated", "toml"]
 
 #: Values longer than this are in the scenario's tables at the end of the report.
 _LONG = 60
@@ -79,6 +79,15 @@ def prior(scenario: Scenario) -> Table:
         texts = (block.frame[-1:], _value(one.sigma), mean)
         body.append([Cell(plain(block.name), "strong"), *map(Cell, texts)])
     return Table(["state", "frame", "1-sigma", "mean"], body, 4)
+
+
+def orbit(scenario: Scenario) -> str:
+    """The orbit of the target, as the scenario states it, in words; empty without one."""
+    table = scenario.raw.get("orbit")
+    if not table:
+        return ""
+    said = ", ".join(f"{k.replace('_', ' ')} {_value(v)}" for k, v in table.items())
+    return f"Orbit of the target: {said}. Numbers without a unit are in SI units and radians."
 
 
 def toml(scenario: Scenario) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_hex, to_rgba
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -26,6 +26,8 @@ __all__ = ["zoomable"]
 
 _PIXELS = 112  # of an inch: the width of the page's column
 _SYMBOLS = {"D": "diamond", "s": "square", "+": "cross-thin-open"}
+#: Height of the numbers below a panel that has another one below it, pixels.
+_NUMBERS = 12
 #: Height of the buttons that appear above a figure, pixels.
 _BUTTONS = 24
 #: Epochs of a track that are drawn, and up to which its bands are filled: a pass of a
@@ -125,6 +127,8 @@ def _shapes(ax: Axes, x: str, y: str) -> list[dict[str, Any]]:
     for line in ax.lines:
         if line.get_transform() == ax.transData:
             continue
+        if line.get_gid() == "grid":
+            continue  # the browser draws its own
         (x0, x1), (y0, y1) = (np.asarray(v, dtype=float).tolist() for v in line.get_data())
         flat = y0 == y1
         look = {"color": _rgba(line.get_color()), "width": 1.4 * line.get_linewidth()}
@@ -142,13 +146,14 @@ def _shapes(ax: Axes, x: str, y: str) -> list[dict[str, Any]]:
     return out
 
 
-def _axis(ax: Axes, which: str, highest: float) -> dict[str, Any]:
-    """An axis; `highest` is the top of all panels, above which stands the legend."""
+def _axis(ax: Axes, which: str, highest: float, room: float = 0.0) -> dict[str, Any]:
+    """An axis; `highest` is the top of all panels, above which stands the legend; room: part of the
+    height that is kept below a panel, for the numbers of its own time axis."""
     axis, box = getattr(ax, f"{which}axis"), ax.get_position()
     log = axis.get_scale() == "log"
     limits = ax.get_xlim() if which == "x" else ax.get_ylim()
     ends = [float(np.log10(v)) if log else float(v) for v in limits]
-    domain = [box.x0, box.x1] if which == "x" else [box.y0 / highest, box.y1 / highest]
+    domain = [box.x0, box.x1] if which == "x" else [box.y0 / highest + room, box.y1 / highest]
     out: dict[str, Any] = {
         "domain": [min(max(float(v), 0.0), 1.0) for v in domain],
         "range": ends,
@@ -161,9 +166,8 @@ def _axis(ax: Axes, which: str, highest: float) -> dict[str, Any]:
         "ticks": "outside",
         "ticklen": 3,
         "exponentformat": "power",
-        "showticklabels": bool(
-            axis.get_tick_params()["labelbottom" if which == "x" else "labelleft"]
-        ),
+        "showticklabels": True,  # of a panel that is zoomed they are its own
+        "tickfont": {"size": 10},
     }
     if log:
         decades = abs(ends[1] - ends[0])
@@ -184,6 +188,9 @@ def _notes(ax: Axes, x: str, y: str) -> list[dict[str, Any]]:
     for text in ax.texts:
         at = {"x": 1, "y": 1, "xanchor": "right", "yanchor": "top"}
         look = {"font": {"size": 9, "color": "#444"}, "bgcolor": "rgba(255,255,255,0.8)"}
+        if text.get_horizontalalignment() == "left":
+            (at["x"], at["y"]), at["xanchor"] = text.get_position(), "left"
+            look = {**look, "font": {"size": 9, "color": str(to_hex(text.get_color()))}}
         out.append({"text": _html(text.get_text()), **look, **at, **place})
     return out
 
@@ -224,7 +231,8 @@ def zoomable(figure: Figure) -> dict[str, Any]:
         shapes += _shapes(ax, x, y)
         annotations += _notes(ax, x, y)
         axes = {"x": _axis(ax, "x", highest) | {"anchor": y}}
-        axes["y"] = _axis(ax, "y", highest) | {"anchor": x}
+        room = _NUMBERS / (_PIXELS * figure.get_figheight() * highest)
+        axes["y"] = _axis(ax, "y", highest, room if _has_below(ax, figure) else 0.0) | {"anchor": x}
         for which, shared in (("x", ax.get_shared_x_axes()), ("y", ax.get_shared_y_axes())):
             first = next((m for m, other in enumerate(seen) if shared.joined(ax, other)), None)
             if first is not None:
@@ -263,6 +271,15 @@ def zoomable(figure: Figure) -> dict[str, Any]:
         "hovermode": "closest",
     }
     return {"data": data, "layout": layout}
+
+
+def _has_below(ax: Axes, figure: Figure) -> bool:
+    """Whether another panel stands below one."""
+    own = ax.get_position()
+    return any(
+        other.get_position().y1 <= own.y0 and abs(other.get_position().x0 - own.x0) < 1e-6
+        for other in figure.axes
+    )
 
 
 def _legend_lines(figure: Figure) -> int:

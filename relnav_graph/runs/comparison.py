@@ -16,6 +16,7 @@ from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.metrics import summary
+from relnav_graph.scoring.residuals import judge_without_truth
 
 __all__ = ["Comparison", "Estimated", "compare", "compare_pass", "estimate_pass"]
 
@@ -40,8 +41,9 @@ class Estimated:
 class Comparison(Shown):
     """Several estimators on one pass, scored.
 
-    tracks: one for each estimator, in order; problems and truths: of each track, the same
-    ones for all but in a closed loop, where each estimator flies a pass of its own; summary:
+    tracks: one for each estimator, in order, of a pass without truth the smoothed one that tells
+    most with its standardised residuals for innovations; problems and truths: of each track, the
+    same ones for all but in a closed loop, where each estimator flies a pass of its own; summary:
     the object that `relnav compare --json` prints.
     """
 
@@ -100,6 +102,9 @@ def compare_pass(
     each = [(one, track) for one in made for track in one.tracks]
     tracks = tuple(track for _, track in each)
     times = opened.recording.times if opened.flown else opened.problem.times
+    noise: dict[str, Any] = {}
+    if opened.recording.truth is None and not opened.flown:
+        tracks, noise = judge_without_truth(opened.problem, tracks)
     found = summary(
         opened.scenario.name,
         opened.seed if opened.simulated else None,
@@ -110,6 +115,7 @@ def compare_pass(
         len(times),
         each[0][0].problem.cautions,
         opened.scenario.scored,
+        noise,
     )
     problems, truths = tuple(o.problem for o, _ in each), tuple(o.truth for o, _ in each)
     return Comparison(tracks, problems, truths, found)

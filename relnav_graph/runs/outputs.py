@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 from relnav_graph.core.numbered import times_seen
@@ -16,7 +17,7 @@ from relnav_graph.runs.comparison import Comparison
 from relnav_graph.runs.passes import Pass
 from relnav_graph.scoring.metrics import with_smoothed
 
-__all__ = ["sights", "write_outputs"]
+__all__ = ["Drawing", "sights", "write_outputs"]
 
 
 def sights(found: Comparison) -> dict[str, int]:
@@ -25,11 +26,22 @@ def sights(found: Comparison) -> dict[str, int]:
     return times_seen(problem.sensors, (m for e in problem.epochs for m in e.measurements))
 
 
-def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "") -> None:
+@dataclass(frozen=True)
+class Drawing:
+    """Which rows are drawn, of those of the tracks, by default at most three that tell most, and in
+    which formats, of png, svg and pdf; none: no figures."""
+
+    rows: tuple[str, ...] = ()
+    formats: tuple[str, ...] = ("svg", "png")
+
+
+def write_outputs(
+    out: Path, opened: Pass, found: Comparison, command: str = "", drawing: Drawing = Drawing()
+) -> None:
     """Write results, summary, manifest, maps and figures into the folder `out`.
 
-    command: the command line that made them, for the manifest. Raises InputError when the
-    folder cannot be made or written.
+    command: the command line that made them, for the manifest; drawing: see `Drawing`. Raises
+    InputError when the folder cannot be made or written, or a row to draw is none.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -44,6 +56,8 @@ def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "")
     if opened.scenario.file.time.epoch is not None:
         attributes["time_epoch"] = opened.scenario.file.time.epoch
         attributes["o"] = "i" if opened.scenario.file.orbit is None else "RTN"
+    if "noise" in found.summary:
+        attributes["noise"] = json.dumps(found.summary["noise"])
     seen = sights(found)
     if seen:
         attributes["times_seen"] = json.dumps(seen)
@@ -62,21 +76,11 @@ def write_outputs(out: Path, opened: Pass, found: Comparison, command: str = "")
         found.summary["versions"],
         command,
     ).write(out)
+    if not drawing.formats:
+        return
     # Only now: matplotlib takes half a second to import, and may be set up in a way that it
     # cannot be; what was estimated is then in the folder.
-    from relnav_graph.figures import (
-        error_figures,
-        map_figure,
-        save_figures,
-        trajectory_figure,
-    )
+    from relnav_graph.figures import save_pass
 
-    derived = opened.scenario.derived
-    figures = error_figures(found.tracks, opened.recording.truth, derived)
-    path = trajectory_figure(found.tracks, opened.recording.truth, derived)
-    if path is not None:
-        figures["trajectory"] = path
-    points = map_figure(found.tracks, opened.recording.truth, seen)
-    if points is not None:
-        figures["map"] = points
-    save_figures(figures, out / "figures")
+    truth, derived = opened.recording.truth, opened.scenario.derived
+    save_pass(found.tracks, truth, derived, out / "figures", seen, drawing.rows, drawing.formats)

@@ -52,6 +52,25 @@ def _apart(track: Track, reference: Track) -> float | None:
     return largest if np.isfinite(largest) else None
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def _apart_from_own(track: Track, smoothed: Track) -> float | None:
+    """How far a filter was from what it ends with, smoothed, in its own sigmas: of the component
+    that was furthest, the root mean square over the last three quarters of the pass.
+
+    At the last epoch both are the same by construction. It is at most 1 in the mean where both are
+    consistent.
+    """
+    if track.layout != smoothed.layout or not np.array_equal(track.t, smoothed.t):
+        return None
+    epochs, found = slice(len(track.t) // 4, None), list[Array]()
+    a, b = smoothed.at(epochs), track.at(epochs)
+    for block in _shared(a, b):
+        variance = np.diagonal(b.covariance(block.name), axis1=1, axis2=2)
+        found.append(np.sqrt((_apart_in(block, a, b) ** 2 / variance).mean(axis=0)))
+    largest = float(np.hstack(found).max(initial=0.0))
+    return largest if np.isfinite(largest) else None
+
+
 def _shared(a: Track, b: Track) -> list[Block]:
     """The blocks that both have, static ones included."""
     return [block for block in a.blocks if block in b.blocks]
@@ -62,16 +81,25 @@ def _apart_in(block: Block, a: Track, b: Track) -> Array:
     return block.local(a.value(block.name), b.value(block.name))
 
 
-def distances(tracks: Mapping[str, Track]) -> tuple[str, dict[str, float | None]]:
-    """Name of the reference, "" without one, and each row's distance from it, in sigmas.
+def distances(
+    tracks: Mapping[str, Track],
+) -> tuple[dict[str, str], dict[str, float | None]]:
+    """Each row's reference, "" without one, and its distance from it, in sigmas.
 
-    tracks: by the name of their row, see `relnav_graph.scoring.metrics.with_smoothed`. None where
-    there is nothing to compare: no reference, another state or other epochs, a pass of its own.
+    tracks: by the name of their row, see `relnav_graph.scoring.metrics.with_smoothed`. The
+    reference is the first of `REFERENCES` that is there; else, of an online estimator, what it ends
+    with, smoothed, see `_apart_from_own`. None where there is nothing to compare: no reference,
+    another state or other epochs, a pass of its own.
     """
     usable = {n: t for n, t in tracks.items() if t.truth is None and t.status != "diverged"}
-    reference = next((name for name in REFERENCES if name in usable), "")
-    return reference, {
-        name: _apart(track, tracks[reference]) if reference and name in usable else None
+    best = next((name for name in REFERENCES if name in usable), "")
+    references = {}
+    for name in tracks:
+        own = best or f"{name}_smoothed"
+        references[name] = own if own in usable and name in usable else ""
+    measure = _apart if best else _apart_from_own
+    return references, {
+        name: measure(track, tracks[references[name]]) if references[name] else None
         for name, track in tracks.items()
     }
 
@@ -98,22 +126,26 @@ def _overconfidence(track: Track, reference: Track) -> float:
 
 
 def row_cautions(
-    rows: Mapping[str, Track], reference: str, apart: Mapping[str, float | None]
+    rows: Mapping[str, Track],
+    references: Mapping[str, str],
+    apart: Mapping[str, float | None],
 ) -> dict[str, tuple[Caution, ...]]:
     """The cautions of each row: its own, what comparing it with the reference says, and those of
     badly known axes and of constants that a filter has given up.
 
-    rows, reference, apart: as of `distances`. A posterior that is bent for the reference is so
+    rows, references, apart: as of `distances`. A posterior that is bent for the reference is so
     for all that estimate the same pass.
     """
-    bent = [c for c in rows[reference].cautions if c.name == SECOND_LOOK] if reference else []
     found = {}
     for name, track in rows.items():
-        own, distance = list(track.cautions), apart[name]
+        own, distance, reference = list(track.cautions), apart[name], references[name]
+        bent = [c for c in rows[reference].cautions if c.name == SECOND_LOOK] if reference else []
         if distance is not None and not any(c.name == SECOND_LOOK for c in own):
             own += [Caution(SECOND_LOOK, f"of {reference}: {c.text}") for c in bent]
         if distance is not None and distance > FAR:
             where = "at the last epoch" if track.kind == "filtered" else "over the pass"
+            if reference not in REFERENCES:
+                where = "on average over the last three quarters of the pass"
             own.append(Caution("distance", f"{distance:.3g} sigma from {reference} {where}"))
         elif distance is not None and track.kind != "smoothed":
             ratio = _overconfidence(track, rows[reference])

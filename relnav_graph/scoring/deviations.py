@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Ambiguous, Derived
-from relnav_graph.core.models import DerivedQuantity
+from relnav_graph.core.models import DerivedQuantity, derived_quantities
 from relnav_graph.core.scored import InAxes
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
@@ -35,6 +35,7 @@ __all__ = [
     "StateEstimates",
     "at_the_end",
     "chi2_band",
+    "derived_estimates",
     "deviations",
     "errors",
     "estimates",
@@ -171,6 +172,13 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
         unknown = np.full((len(track.t), block.dim, block.dim), np.nan)
         found[block.name] = StateEstimates(block, aim, unknown)
     return found
+
+
+def derived_estimates(track: Track) -> dict[str, StateEstimates]:
+    """Estimates of every derived quantity that is known and that the blocks of a track give."""
+    found = estimates(track, derived_quantities(Layout(track.blocks)))
+    own = {b.name for b in (*track.blocks, *track.controlled)}
+    return {name: state for name, state in found.items() if name not in own}
 
 
 @dataclass(frozen=True, eq=False)

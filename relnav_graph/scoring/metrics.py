@@ -35,6 +35,7 @@ from relnav_graph.scoring.deviations import (
     joint,
     mean_nees,
 )
+from relnav_graph.scoring.estimated import estimate_row, sensor_rows
 from relnav_graph.scoring.maps import family_scores
 from relnav_graph.scoring.scores import Score, StateScore
 from relnav_graph.scoring.text import table
@@ -264,6 +265,19 @@ def _statics(s: Score) -> dict[str, Any]:
     }
 
 
+def _told(
+    row: dict[str, Any], track: Track, derived: Sequence[Derived], truth: Truth | None
+) -> Any:
+    """A row with what can be told without truth: estimates of the states that it does not know,
+    and, where there is none at all, residuals by sensor."""
+    found = estimates(track, derived)
+    for part in ("states", "statics"):
+        for name, one in row.get(part, {}).items():
+            if "rmse" not in one and name in found:
+                one |= estimate_row(found[name], track.t)
+    return row if truth is not None else row | sensor_rows(track)
+
+
 def _row(
     track: Track,
     s: Score,
@@ -315,16 +329,19 @@ def summary(
     epochs: int,
     cautions: Sequence[Caution] = (),
     scored: Scored = AS_USUAL,
+    noise: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The object that ``relnav compare --json`` prints: strict JSON, schema 1.
 
     truth: of tracks that have none of their own; cautions: of the pass; scored: what the scenario
-    says of scores. States that truth does
-    not know have unit and sigma only. Raises InputError as :func:`score` does.
+    says of scores; noise: the verdict on the declared noises of a pass without truth, see
+    `relnav_graph.scoring.residuals.judge_without_truth`. States that truth does not know have unit,
+    sigma and the last estimate; without any truth rows have residuals by sensor. Raises InputError
+    as :func:`score` does.
     """
     rows = with_smoothed(tracks)
-    reference, apart = distances(rows)
-    own = row_cautions(rows, reference, apart)
+    references, apart = distances(rows)
+    own = row_cautions(rows, references, apart)
     of_pass = [{**vars(c), "estimator": None} for c in cautions]
     of_rows = [{**vars(c), "estimator": name} for name, found in own.items() for c in found]
     return {
@@ -335,14 +352,20 @@ def summary(
         "versions": versions(),
         "cautions": of_pass + of_rows,
         **({"score": scored.describe()} if scored.describe() else {}),
+        **({"noise": dict(noise)} if noise else {}),
         "estimators": {
-            name: _row(
+            name: _told(
+                _row(
+                    track,
+                    score(track, track.truth or truth, derived, evaluate, scored.without),
+                    aligned(track, track.truth or truth, derived, window_of(track.t, evaluate)),
+                    apart[name],
+                    own[name],
+                    scored.without,
+                ),
                 track,
-                score(track, track.truth or truth, derived, evaluate, scored.without),
-                aligned(track, track.truth or truth, derived, window_of(track.t, evaluate)),
-                apart[name],
-                own[name],
-                scored.without,
+                derived,
+                track.truth or truth,
             )
             for name, track in rows.items()
         },

@@ -38,7 +38,7 @@ from relnav_graph.scoring.variance_components import (
     residuals_after,
 )
 
-__all__ = ["Fit", "fit"]
+__all__ = ["Fit", "explained", "fit"]
 
 #: The group of all noises that are not asked for.
 REST = "rest"
@@ -86,7 +86,7 @@ def _groups(
     return Groups(names, measured, np.array(of_process))
 
 
-def _explained(rows: Rows, c: Conditionals) -> tuple[Array, Array, Array]:
+def explained(rows: Rows, c: Conditionals) -> tuple[Array, Array, Array]:
     """What each row of prior, process (N - 1, n) and measurements takes of its own noise: the
     diagonal of A P A^T."""
     m, n = c.marginals(), rows.states
@@ -148,7 +148,7 @@ def fit(
     groups, used = _groups(problem, assembly, asked, of_rows), assembly.rows_of(weights > 0)
     after = residuals_after(rows, system.conditionals.solution())
     squares = groups.sums(*(e**2 for e in after))
-    prior, process, measured = _explained(rows, system.conditionals)
+    prior, process, measured = explained(rows, system.conditionals)
     redundancy = groups.sums(1 - prior, 1 - process, np.where(used, 1 - measured, 0.0))
     rng = np.random.default_rng(np.random.SeedSequence(0))
     n, cost, T = len(asked), 0.5 * float(squares.sum()), np.zeros((len(asked), len(asked)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from relnav_graph.scoring.text import aligned_columns
+from relnav_graph.scoring.columns import aligned_columns
 
 __all__ = ["tune_table"]
 

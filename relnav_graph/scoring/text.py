@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from relnav_graph.scoring.columns import aligned_columns, with_unit
+from relnav_graph.scoring.told import estimate_lines, told_lines
+
 __all__ = [
     "ALIGNMENT",
     "aligned_columns",
@@ -19,23 +22,6 @@ def _text(value: float | None, form: str = ".4g") -> str:
     if value is None:
         return "-"
     return format(value, form if abs(value) < 1e5 else ".2e")
-
-
-def aligned_columns(header: str, rows: Sequence[Sequence[str]]) -> list[str]:
-    """Columns named in `header` (split at "|"), words to the left, numbers to the right.
-
-    A column is at least as wide as its name; one whose name ends in a space is of words.
-    """
-    names = header.split("|")
-    table = [[name.strip() for name in names], *rows]
-    widths = [max(map(len, column)) for column in zip(names, *table, strict=True)]
-    return [
-        "  ".join(
-            text.ljust(width) if name.endswith(" ") else text.rjust(width)
-            for name, width, text in zip(names, widths, row, strict=True)
-        ).rstrip()
-        for row in table
-    ]
 
 
 def _overview(name: str, row: Mapping[str, Any]) -> list[str]:
@@ -108,22 +94,34 @@ def table(summary: Mapping[str, Any]) -> str:
     lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
     lines += consistency_lines(summary)
     lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
+    lines += told_lines(summary)
     width = max(map(len, ["estimator", *rows]))  # the same columns in every block
     for state, unit in _moving(rows).items():
+        if estimated := estimate_lines(rows, "states", state, unit):
+            lines += estimated
+            continue
         block = [
             _state(name, width, row["kind"], row["states"][state])
             for name, row in rows.items()
             if state in row["states"]
         ]
         header = "estimator |kind     |     rmse|rmse last|  1-sigma|   ANEES|inside 3-sigma"
-        lines += ["", _with_unit(state, unit), *aligned_columns(header, block)]
+        lines += ["", with_unit(state, unit), *aligned_columns(header, block)]
+    for constant, unit in _estimated_constants(rows).items():
+        lines += estimate_lines(rows, "statics", constant, f"{unit}, a constant")
     lines += _constants(rows, "constants, as at the last epoch", ("error", "1-sigma"))
     lines += _aligned_maps(rows)
     return "\n".join(lines) + "\n"
 
 
-def _with_unit(name: str, unit: str) -> str:
-    return name if unit == "1" else f"{name} [{unit}]"
+def _estimated_constants(rows: Mapping[str, Any]) -> dict[str, str]:
+    """Units of the constants that truth does not know, by name."""
+    return {
+        name: one["unit"]
+        for row in rows.values()
+        for name, one in row.get("statics", {}).items()
+        if "estimate" in one
+    }
 
 
 def _moving(rows: Mapping[str, Any]) -> dict[str, str]:
@@ -165,7 +163,7 @@ def _constants(rows: Mapping[str, Any], title: str, columns: Sequence[str]) -> l
     counts = {n: one.get("count") for row in having.values() for n, one in row["statics"].items()}
     parts = [
         (
-            _with_unit(n if counts[n] is None else f"{n}, {counts[n]:g} of them", unit),
+            with_unit(n if counts[n] is None else f"{n}, {counts[n]:g} of them", unit),
             {r: row["statics"][n] for r, row in having.items() if n in row["statics"]},
         )
         for n, unit in units.items()
@@ -210,7 +208,7 @@ def _aligned_maps(rows: Mapping[str, Any]) -> list[str]:
     units = {n: s["unit"] for one in having.values() for n, s in one["states"].items()}
     for state, unit in units.items():
         found = (one["states"].get(state, {}).get("rmse") for one in having.values())
-        table.append([f"{_with_unit(state, unit)}, rmse", *map(_text, found)])
+        table.append([f"{with_unit(state, unit)}, rmse", *map(_text, found)])
     title = "after one rigid alignment of each map, as at the last epoch, to the true one"
     return ["", title, *aligned_columns("error |" + "|".join(f"{n:>9}" for n in having), table)]
 
@@ -264,7 +262,7 @@ def study_table(summary: Mapping[str, Any]) -> str:
             for name, row in rows.items()
             if state in row["states"]
         ]
-        lines += ["", _with_unit(state, unit), *aligned_columns(_STUDY_STATE, block)]
+        lines += ["", with_unit(state, unit), *aligned_columns(_STUDY_STATE, block)]
     columns = ("rmse", "1-sigma", "bound", "rmse/bound")
     lines += _constants(rows, "constants, as at the last epoch", columns)
     lines += _aligned_maps(rows)

@@ -21,13 +21,14 @@ from relnav_graph.core.contracts import Dynamics
 from relnav_graph.core.problem import Problem
 from relnav_graph.estimators.weights import residual_weights
 from relnav_graph.linear.assembly import Assembly
-from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.conditionals import Conditionals, anchor_of
 from relnav_graph.linear.elimination import linearize
 from relnav_graph.linear.gtsam_chain import Rows, chain_factors, chain_rows, eliminate
 
 __all__ = [
     "Groups",
     "NoiseResiduals",
+    "Smoothed",
     "coupling",
     "estimate_factors",
     "noise_residuals",
@@ -132,6 +133,45 @@ def coupling(
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A pass linearised about a smoothed trajectory: its rows, whitened, and their elimination;
+    used: which rows of the measurements are (R,)."""
+
+    assembly: Assembly
+    rows: Rows
+    conditionals: Conditionals
+    cost: float
+    used: NDArray[np.bool_]
+
+    @staticmethod
+    def of(problem: Problem, x: Array) -> Smoothed:
+        """At the trajectory x (N, size). Raises GeometryError, ModelError and EstimationError where
+        it cannot be linearised."""
+        assembly = Assembly.of(problem)
+        measured = assembly.measure(x, np.ones(assembly.observations))
+        weights = residual_weights(assembly, measured, problem.gates, problem.losses)
+        whiten = assembly.whitening(x[:-1])
+        anchor = anchor_of(problem.prior)
+        system = linearize(assembly, anchor, x, whiten, weights)
+        rows = chain_rows(assembly, anchor, x, whiten, weights)
+        used = assembly.rows_of(weights > 0)
+        return Smoothed(assembly, rows, system.conditionals, system.cost, used)
+
+    def noises(
+        self, problem: Problem, rng: np.random.Generator | None = None, probes: int = 1
+    ) -> NoiseResiduals:
+        """See `noise_residuals`; probes: independent estimates of T, (probes, groups, groups) where
+        there are several."""
+        groups = _groups(problem, self.assembly)
+        after = residuals_after(self.rows, self.conditionals.solution())
+        by_name = dict(zip(groups.names, groups.sums(*(e**2 for e in after)).tolist(), strict=True))
+        if rng is None:
+            return NoiseResiduals(by_name, self.cost)
+        each = [coupling(self.rows, groups, self.used, rng) for _ in range(probes)]
+        return NoiseResiduals(by_name, self.cost, each[0] if probes == 1 else np.array(each))
+
+
 def noise_residuals(
     problem: Problem, x: Array, rng: np.random.Generator | None = None
 ) -> NoiseResiduals:
@@ -143,18 +183,7 @@ def noise_residuals(
     rng: for the coupling T of the groups, None to leave that out. Raises GeometryError,
     ModelError and EstimationError where the trajectory cannot be linearised.
     """
-    assembly = Assembly.of(problem)
-    measured = assembly.measure(x, np.ones(assembly.observations))
-    weights = residual_weights(assembly, measured, problem.gates, problem.losses)
-    whiten = assembly.whitening(x[:-1])
-    anchor = anchor_of(problem.prior)
-    system = linearize(assembly, anchor, x, whiten, weights)
-    rows = chain_rows(assembly, anchor, x, whiten, weights)
-    groups, used = _groups(problem, assembly), assembly.rows_of(weights > 0)
-    squares = groups.sums(*(e**2 for e in residuals_after(rows, system.conditionals.solution())))
-    T = None if rng is None else coupling(rows, groups, used, rng)
-    by_name = dict(zip(groups.names, squares.tolist(), strict=True))
-    return NoiseResiduals(by_name, system.cost, T)
+    return Smoothed.of(problem, x).noises(problem, rng)
 
 
 def _of_mean(samples: Array) -> Array:

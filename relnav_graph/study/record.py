@@ -19,7 +19,7 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.problem import Problem
-from relnav_graph.core.track import Innovations, Track
+from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError, RelnavError
 from relnav_graph.memory import check_room
 from relnav_graph.runs.comparison import Estimated
@@ -34,6 +34,7 @@ from relnav_graph.scoring.deviations import (
     joint,
     nees,
 )
+from relnav_graph.scoring.estimated import innovation_sums
 from relnav_graph.scoring.metrics import (
     EXACT,
     Score,
@@ -155,20 +156,6 @@ def _aligned_scalars(found: Mapping[str, Any]) -> dict[str, Any]:
     return {"aligned": numbers | {"states": found["states"]}}
 
 
-def _innovation_scalars(i: Innovations) -> dict[str, float]:
-    """Sums over a pass: NIS = sum_k v_k^T v_k, and the lag product sum_k v_k^T v_k-1 of
-    whitened innovations v, over the residual rows that both epochs have."""
-    shared = np.minimum(i.rows[1:], i.rows[:-1])
-    pairs = zip(i.offsets[:-2], i.offsets[1:-1], shared, strict=True)
-    product = sum(float(i.v[a : a + m] @ i.v[b : b + m]) for a, b, m in pairs)
-    return {
-        "nis": float(i.nis.sum()),
-        "rows": int(i.rows.sum()),
-        "lag_product": product,
-        "lag_rows": int(shared.sum()),
-    }
-
-
 def _mcreynolds(
     filtered: Mapping[str, StateEstimates], smoothed: Mapping[str, StateEstimates]
 ) -> dict[str, dict[str, float]]:
@@ -262,7 +249,7 @@ def _row_scalars(
         "anees_without": score.anees_without,
         "freedoms_without": score.freedoms_without,
         "states": {n: _state_scalars(n, score, settled[n]) for n in score.states},
-        "innovations": {n: _innovation_scalars(i) for n, i in track.innovations.items()},
+        "innovations": {n: innovation_sums(i) for n, i in track.innovations.items()},
         **_statics_scalars(score, constants),
         **_aligned_scalars(laid),
     }

@@ -17,7 +17,7 @@ import numpy as np
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.deviations import chi2_band
 from relnav_graph.scoring.metrics import EXACT
-from relnav_graph.scoring.variance_components import PRIOR, estimate_factors
+from relnav_graph.scoring.noise_verdict import NOTABLE, cause_text, noise_factors, noise_owners
 from relnav_graph.study.collect import Collected, RowRuns
 
 __all__ = ["verdict"]
@@ -25,9 +25,6 @@ __all__ = ["verdict"]
 LEVEL = 0.999
 #: Relative error of sigma that is let pass.
 TOLERANCE = 0.05
-#: A noise is named as a likely cause where its variance factor is this many of its sigmas
-#: from 1, and its sigma is wrong by more than this factor, up or down.
-SIGNIFICANT, NOTABLE = 4.0, 1.25
 
 
 def _judge(ratio: float | None, freedoms: int) -> dict[str, Any] | None:
@@ -61,53 +58,12 @@ def _judge_sensor(row: RowRuns, name: str, sensor: Mapping[str, Any]) -> dict[st
     return {**found, "coloured": coloured, "lag_correlation": lag}
 
 
-def _owners(scenario: Scenario) -> dict[str, str]:
-    """The sensor or process that each noise belongs to, in words, by the noise's path."""
-    found = {f"sensors.{name}": f"sensor {name} ({s.kind})" for name, s in scenario.sensors.items()}
-    for name, process in scenario.processes.items():
-        inputs = " and ".join(process.inputs)
-        driven = f", of the input {inputs}" if inputs else ""
-        for noise in process.noises or tuple(b.name for b in process.advances):
-            found[f"processes.{name}.{noise}"] = f"process {name} ({process.kind}{driven})"
-    return found
-
-
 def _noises(row: RowRuns) -> list[dict[str, Any]]:
     """The factor of each declared sigma, with its 95 % interval."""
-    names = list(row.squares)
-    squares = np.array([row.squares[n] for n in names])  # (groups, runs)
+    squares = np.array(list(row.squares.values()))  # (groups, runs)
     runs = int(np.isfinite(squares).all(axis=0).sum())
     total = np.where(np.isfinite(squares), squares, 0.0).sum(axis=1)
-    variance, sigma = estimate_factors(total, runs * np.array(row.coupling))
-    out = []
-    for name, v, s in zip(names, variance.tolist(), sigma.tolist(), strict=True):
-        tested = math.isfinite(s) and name != PRIOR
-        # s holds for a factor of 1; the sigma of an estimated variance grows in proportion.
-        low, high = (max(v + k * s * max(v, 1.0), 0.0) for k in (-1.96, 1.96))
-        factor = math.sqrt(max(v, 0.0))
-        notable = max(factor, 1 / max(factor, 1e-9)) > NOTABLE
-        out.append(
-            {
-                "noise": name,
-                "tested": tested,
-                "factor": factor if tested else None,
-                "factor_ci": [math.sqrt(low), math.sqrt(high)] if tested else None,
-                "named": tested and notable and abs(v - 1) > SIGNIFICANT * s,
-            }
-        )
-    return out
-
-
-def _cause_text(noise: Mapping[str, Any], owners: Mapping[str, str]) -> str:
-    factor, (low, high) = noise["factor"], noise["factor_ci"]
-    size = "too small" if factor > 1 else "too large"
-    if factor < 1:
-        low, factor, high = (1 / max(v, 1e-9) for v in (high, factor, low))
-    upper = f"{high:.2f}" if high < 1e6 else "more"
-    return (
-        f"{noise['noise']} is declared {factor:.2f} times {size} ({low:.2f} to {upper}):"
-        f" {owners.get(noise['noise'], '')}"
-    )
+    return noise_factors(list(row.squares), total, runs * np.array(row.coupling))
 
 
 def _state_text(name: str, row: Mapping[str, Any], states: Mapping[str, Any]) -> str:
@@ -163,8 +119,8 @@ def verdict(
     best = _best_smoothed(found)
     noises = _noises(found.rows[best]) if best else []
     causes = [n for n in noises if n["named"]]
-    owners = _owners(scenario)
-    text += ["Likely cause: " + _cause_text(n, owners) + "." for n in causes]
+    owners = noise_owners(scenario.sensors, scenario.processes)
+    text += ["Likely cause: " + cause_text(n, owners) + "." for n in causes]
     if best and causes:
         text.append(_unexplained(best, found.rows[best], summary["estimators"][best], noises))
     text += _cautioned(summary)

@@ -61,7 +61,7 @@ def test_with_a_good_prior_no_state_ends_far_from_the_batch(
     """0.002 to 0.02 sigma."""
     found = tracks(1.0, monkeypatch)
     reference, apart = distances(found)
-    assert reference == "batch"
+    assert set(reference.values()) == {"batch"}
     for kind in KINDS:
         assert 0 < (apart[kind] or np.inf) < 0.05, kind
 

@@ -49,7 +49,7 @@ def test_row_54_results_and_table_survive_a_drawing_that_fails(
     def fails(*_: object) -> None:
         raise RuntimeError("no fonts")
 
-    monkeypatch.setattr(relnav_graph.figures, "save_figures", fails)
+    monkeypatch.setattr(relnav_graph.figures, "save_pass", fails)
     with pytest.raises(RuntimeError, match="no fonts"):
         relnav(capsys, "compare", *SHORT, "-o", tmp_path / "out")
     assert "relative_attitude [deg]" in capsys.readouterr().out

@@ -28,7 +28,7 @@ UNITS = re.compile(
 WITHOUT_UNITS = (
     *("relnav_graph/compiled", "relnav_graph/linear", "relnav_graph/estimators"),
     *("relnav_graph/core", "relnav_graph/io", "relnav_graph/report", "relnav_graph/scoring"),
-    *("relnav_graph/streaming", "relnav_graph/study", "relnav_graph/figures.py"),
+    *("relnav_graph/streaming", "relnav_graph/study", "relnav_graph/figures"),
     *("relnav_graph/scenario", "relnav_graph/maths/dense.py", "relnav_graph/maths/losses.py"),
     *("relnav_graph/maths/manifold.py", "relnav_graph/units.py", "relnav_graph/runs"),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,8 +16,20 @@ from static_tracks import filtered, smoothed, truth_of_statics
 
 from relnav_graph.core.catalogue import GYRO_BIAS, INERTIA, RELATIVE_POSITION, TARGET_ATTITUDE
 from relnav_graph.core.state import Layout
-from relnav_graph.core.track import Track, Truth
-from relnav_graph.figures import error_figures, save_figures, trajectory_figure
+from relnav_graph.core.track import Innovations, Track, Truth
+from relnav_graph.errors import InputError
+from relnav_graph.figures import (
+    chosen_rows,
+    consistency_figure,
+    error_figures,
+    residual_figure,
+    save_figures,
+    save_pass,
+    trajectory_figure,
+)
+from relnav_graph.figures.states import quaternions
+from relnav_graph.maths import so3
+from relnav_graph.scoring.deviations import chi2_band
 
 LAYOUT = Layout([RELATIVE_POSITION, TARGET_ATTITUDE])
 N = 40
@@ -85,7 +98,7 @@ def test_a_transient_does_not_set_the_limits_and_is_named() -> None:
     low, high = figure.axes[0].get_ylim()
     assert 0.3 < high < 0.6  # three sigma after the transient: 0.3 m
     assert low == -high
-    assert texts(figure) == ["off scale: ekf to 30"] * 3
+    assert texts(figure) == ["off scale: ekf to 10"] * 3
     calm = error_figures(pair[1:], truth, [])["relative_position"]
     assert texts(calm) == []
 
@@ -98,7 +111,8 @@ def test_a_diverged_track_does_not_crush_the_others(value: float) -> None:
     lost = replace(pair[0], name="lost", x=x, status="diverged")
     figure = error_figures([lost, *pair], truth, [])["relative_position"]
     assert figure.axes[0].get_ylim()[1] < 0.6
-    assert texts(figure)[0].startswith("off scale: lost to " + ("1e+06" if value == 1e6 else "30"))
+    said = "off scale: lost to 1e+06" if value == 1e6 else "off scale: ekf to 10"  # no error: none
+    assert texts(figure)[0].startswith(said)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
@@ -119,14 +133,70 @@ def test_both_rows_of_an_online_estimator_are_drawn() -> None:
     assert legend(figure)[:2] == ["incremental (filtered)", "incremental_smoothed (smoothed)"]
 
 
-def test_without_truth_sigma_alone() -> None:
+def test_without_truth_estimates_and_how_far_they_are_apart() -> None:
     pair, _ = tracks()
-    figure = error_figures(pair, None, [])["relative_position"]
-    assert "1-sigma" in figure.axes[0].get_title("left")
-    assert figure.axes[0].get_yscale() == "log"
-    assert len(figure.axes[0].lines) == 2
+    figures = error_figures(pair, None, [])
+    figure, attitude = figures["relative_position"], figures["target_attitude"]
+    assert "estimate" in figure.axes[0].get_title("left")
+    assert [ax.get_ylabel() for ax in figure.axes[2:4]] == ["$z_{o}$ [m]", "Δ$x_{o}$ [m]"]
+    low, high, value = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines[:3])
+    np.testing.assert_allclose(value, pair[0].x[:, 0])
+    np.testing.assert_allclose(high - low, 6 * np.sqrt(pair[0].P[:, 0, 0]))
+    away, same = (np.asarray(figure.axes[3].lines[k].get_ydata()) for k in (2, 5))
+    np.testing.assert_allclose(away, pair[0].x[:, 0] - pair[1].x[:, 0], atol=1e-12)
+    assert not same.any()  # the smoother, less itself
+    assert texts(figure)[-1] == "off scale: ekf to 10"
+    assert "less batch" in texts(figure)
+    assert attitude.axes[0].get_ylabel() == "quaternion"
+    assert len(attitude.axes) == 4
+
+
+def test_a_quaternion_does_not_jump() -> None:
+    angles = np.radians(np.arange(0, 1000, 5.0))
+    R = np.array([so3.exp(np.array([0.0, 0.0, a])) for a in angles])
+    q = quaternions(R)
+    np.testing.assert_allclose(q[:, 0], np.cos(angles / 2), atol=1e-9)
+    np.testing.assert_allclose(q[:, 3], np.sin(angles / 2), atol=1e-9)
+
+
+def test_at_most_three_rows_are_drawn_or_those_that_are_named() -> None:
+    ekf, batch = tracks()[0]
+    online = replace(ekf, name="incremental", smoothed=replace(batch, name="x"))
+    every = [ekf, replace(ekf, name="iekf"), replace(batch, name="rts"), batch, online]
+    assert list(chosen_rows(every)) == ["iekf", "batch", "incremental"]
+    assert list(chosen_rows(every, ["rts", "incremental_smoothed"])) == [
+        "rts",
+        "incremental_smoothed",
+    ]
+    with pytest.raises(InputError, match="draw: found 'ukf', expected of: ekf, iekf"):
+        chosen_rows(every, ["ukf"])
+
+
+def test_nees_and_nis_stand_in_strips_with_their_bands() -> None:
+    (ekf, batch), truth = tracks()
+    v = np.tile([1.0, -1.0], N)
+    heard = replace(ekf, innovations={"camera": Innovations(ekf.t, v, 2 * np.arange(N + 1))})
+    figure = consistency_figure([heard, batch], truth, [])
+    assert figure is not None
+    assert [ax.get_ylabel() for ax in figure.axes] == ["NEES", "NIS, camera"]
     drawn = np.asarray(figure.axes[0].lines[0].get_ydata())
-    np.testing.assert_allclose(drawn, np.sqrt(pair[0].P[:, 0, 0]))
+    np.testing.assert_allclose(drawn, 0.5)  # three of six components are one sigma off
+    np.testing.assert_allclose(np.asarray(figure.axes[1].lines[0].get_ydata()), 1)
+    for ax, freedoms in zip(figure.axes, (6, 2), strict=True):
+        inside = ax.collections[-1].get_paths()[0].vertices[:, 1]
+        np.testing.assert_allclose((inside.min(), inside.max()), chi2_band(freedoms))
+    assert residual_figure([ekf]) is None
+    (ax,) = residual_figure([heard]).axes  # type: ignore[union-attr]
+    assert len(ax.lines[0].get_xdata()) == 2 * N
+    assert consistency_figure([ekf], None, []) is None
+
+
+def test_a_pdf_is_as_wide_as_a_column_and_has_no_title(tmp_path: Path) -> None:
+    pair, truth = tracks()
+    paths = save_pass(pair[:1], truth, [], tmp_path, formats=("pdf",))
+    assert {p.suffix for p in paths} == {".pdf"}
+    (box,) = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+)", paths[0].read_bytes())
+    assert float(box) == pytest.approx(85 / 25.4 * 72, abs=0.1)
 
 
 def test_a_state_that_truth_does_not_know_is_still_drawn() -> None:
@@ -134,8 +204,9 @@ def test_a_state_that_truth_does_not_know_is_still_drawn() -> None:
     t = np.arange(5.0)
     track = Track("a", "smoothed", layout, t, np.zeros((5, 5)), np.tile(np.eye(5), (5, 1, 1)))
     figures = error_figures([track], Truth(t, {"gyro_bias": np.zeros((5, 3))}), [])
-    assert len(figures["inertia_parameters"].axes) == 2
-    assert "1-sigma" in figures["inertia_parameters"].axes[0].get_title("left")
+    labels = [ax.get_ylabel() for ax in figures["inertia_parameters"].axes]
+    assert labels == ["$k_{1}$", "$k_{2}$", "Δ$k_{1}$", "Δ$k_{2}$"]
+    assert "estimate" in figures["inertia_parameters"].axes[0].get_title("left")
     assert "error" in figures["gyro_bias"].axes[0].get_title("left")
 
 

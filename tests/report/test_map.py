@@ -77,7 +77,7 @@ def test_a_broken_filter_does_not_crush_the_figure() -> None:
     assert figure is not None
     reach = 3000 * np.sqrt(np.diag(joint_covariance())[11:].max() / 40)
     assert figure.axes[0].get_ylim()[1] < 3 * reach
-    assert any("broken" in text.get_text() for text in figure.axes[0].texts)
+    assert not figure.axes[0].texts  # its bands are off scale, and no error
 
 
 def content(truth: Truth | None) -> Any:

@@ -52,7 +52,7 @@ def one_pass(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a comparison, with its report."""
     out = tmp_path_factory.mktemp("report") / "pass"
     with pytest.MonkeyPatch.context() as patch:  # its files are tested elsewhere
-        patch.setattr("relnav_graph.figures.save_figures", lambda *_: [])
+        patch.setattr("relnav_graph.figures.save_pass", lambda *_: [])
         assert run("compare", ZHANG, *SHORT, "--seed", 4, "-o", out) == 0
     assert run("report", out) == 0
     return out

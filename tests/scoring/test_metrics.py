@@ -371,10 +371,12 @@ def test_without_truth_there_is_sigma_alone() -> None:
     json.dumps(blind, allow_nan=False)
     row = blind["estimators"]["a"]
     assert row["anees"] is None
+    assert "relative_position [m]: estimate at t = " in table(blind)
     for name, state in row["states"].items():
         expected = known["estimators"]["a"]["states"][name]["sigma"]
+        last = state.pop("estimate")
         assert state == {"unit": state["unit"], "sigma": expected}
-    assert "relative_position [m]" in table(blind)
+        assert (last["t"], len(last["sigma"])) == (track.t[-1], 3)
 
 
 def test_table_fits_a_terminal() -> None:

@@ -1,0 +1,108 @@
+"""A pass without truth: what is told of it, and that a filter far from its smoother says so."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from passes import ZHANG, relnav
+
+from relnav_graph.core.track import Track
+from relnav_graph.io.results import read_results
+from relnav_graph.io.track_tables import write_csv
+from relnav_graph.report.contents import PassContents, read_contents
+from relnav_graph.report.page import render
+from relnav_graph.runs.comparison import Comparison, compare_pass
+from relnav_graph.runs.outputs import write_outputs
+from relnav_graph.runs.passes import Pass, open_pass
+from relnav_graph.scoring.agreement import distances, row_cautions
+from relnav_graph.scoring.metrics import table, with_smoothed
+
+
+@pytest.fixture(scope="module")
+def opened() -> Pass:
+    """A simulated pass whose truth, which has given the means of the prior, is taken away."""
+    known = open_pass(ZHANG, 1, None, ("time.epochs=60",))
+    assert known.problem  # with its prior
+    object.__setattr__(known, "recording", replace(known.recording, truth=None))
+    return known
+
+
+@pytest.fixture(scope="module")
+def found(opened: Pass) -> Comparison:
+    return compare_pass(opened, ["iekf", "batch"])
+
+
+def test_estimates_residuals_and_noises_are_told(found: Comparison) -> None:
+    json.dumps(found.summary, allow_nan=False)
+    row, batch = found.summary["estimators"]["batch"], found.track("batch")
+    one = row["states"]["relative_position"]["estimate"]
+    assert one["components"] == ["x", "y", "z"]
+    np.testing.assert_allclose(one["value"], batch.value("relative_position")[-1])
+    P = batch.covariance("relative_position")[-1]
+    np.testing.assert_allclose(one["sigma"], np.sqrt(np.diag(P)))
+    assert len(row["states"]["relative_attitude"]["estimate"]["value"]) == 4
+    for name in ("iekf", "batch"):
+        sensor = found.summary["estimators"][name]["sensors"]["beacons"]
+        assert sensor["rows"] == 60 * 12
+        assert sensor["nis"] == pytest.approx(1, abs=0.2)  # 720 rows: 4 sigmas
+    noises = {n["noise"]: n for n in found.summary["noise"]["noises"]}
+    assert noises["sensors.beacons"]["tested"]
+    assert noises["sensors.beacons"]["factor"] == pytest.approx(1, abs=0.12)
+    text = table(found.summary)
+    x, sigma = one["value"][0], one["sigma"][0]
+    (said,) = re.findall(r"relative_position .*\n.*\n.*\nbatch +smoothed +(\S+) ± (\S+)", text)
+    assert float(said[0]) == pytest.approx(x, abs=sigma / 5)
+    assert float(said[1]) == pytest.approx(sigma, rel=0.06)
+    assert "declared noises, by the residuals of batch" in text
+
+
+def test_files_hold_what_is_derived_and_the_report_tells_all(
+    opened: Pass, found: Comparison, tmp_path: Path
+) -> None:
+    write_outputs(tmp_path, opened, found)
+    tracks, truth, _ = read_results(tmp_path / "results.nc")
+    assert truth is None
+    for before, after in zip(found.tracks, tracks, strict=True):
+        i, j = before.innovations["beacons"], after.innovations["beacons"]
+        for a, b in ((i.t, j.t), (i.v, j.v), (i.offsets, j.offsets)):
+            np.testing.assert_array_equal(a, b)
+    write_csv(tmp_path, tracks)
+    header = (tmp_path / "batch.csv").read_text().splitlines()[0].split(",")
+    assert {"position_in_target_x_m", "sigma_relative_attitude_z_rad"} <= set(header)
+    content = read_contents(tmp_path)
+    assert isinstance(content, PassContents)
+    assert content.summary["noise"] == found.summary["noise"]
+    page = render(content, plotly="")
+    for heading in ("Estimates", "Residuals", "Declared noises"):
+        assert f"<h3>{heading}</h3>" in page
+    assert "Orbit of the target: semi major axis" in page
+    assert "Consistency over the pass" in page
+
+
+@pytest.mark.parametrize("off", [0.0, 6.0])
+def test_a_filter_far_from_its_own_smoother_says_so(found: Comparison, off: float) -> None:
+    smoothed, own = found.track("batch"), found.track("iekf")
+    x = own.x.copy()
+    x[:, 1] += off * np.sqrt(own.P[:, 1, 1])
+    online: Track = replace(own, name="online", x=x, smoothed=replace(smoothed, name="online"))
+    rows = with_smoothed([online])
+    references, apart = distances(rows)
+    assert references == {"online": "online_smoothed", "online_smoothed": ""}
+    said = {c.name for c in row_cautions(rows, references, apart)["online"]}
+    assert ("distance" in said) == (off > 0)
+    assert apart["online"] == pytest.approx(6, abs=1.5) if off else apart["online"] < 2
+
+
+def test_a_row_that_is_none_is_refused_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = ("compare", ZHANG, "--set", "time.epochs=5", "-e", "ekf", "-o", tmp_path / "out")
+    code, _, said = relnav(capsys, *short, "--draw", "batch")
+    assert code == 2
+    assert "--draw: found 'batch', expected an estimator of this pass: ekf" in said
+    assert not (tmp_path / "out").exists()
