@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.catalogue import ORBIT
 from relnav_graph.core.cautions import (
     Caution,
     gap_cautions,
@@ -20,7 +21,6 @@ from relnav_graph.core.cautions import (
     orbit_cautions,
     untold_cautions,
 )
-from relnav_graph.core.catalogue import ORBIT
 from relnav_graph.core.contracts import Dynamics, KnowsOrbit, Sensor
 from relnav_graph.core.copies import copied
 from relnav_graph.core.epochs import Epoch, check_epoch
@@ -299,8 +299,8 @@ def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor
     names = {block.name for block in ORBIT}
     if missing := names - {b.name for process in processes.values() for b in process.advances}:
         raise InputError(
-            f"orbit.estimated: found no process that advances {', '.join(sorted(missing))}, expected"
-            " one"
+            f"orbit.estimated: found no process that advances {', '.join(sorted(missing))},"
+            " expected one"
         )
     for section, models in (("process", processes), ("sensor", sensors)):
         for name, model in models.items():

@@ -83,7 +83,7 @@ class Failing(Ekf):
         for epoch in source:
             if epoch.t > 59.5:
                 raise EstimationError("gave up")
-            source.take(source.problem.prior.x)
+            source.take(source.problem.prior.x, {})
         raise AssertionError("unreachable")
 
 
@@ -184,7 +184,7 @@ def test_a_command_that_is_not_finite_ends_the_flight() -> None:
     next(epochs)
     next(epochs)
     with pytest.raises(EstimationError, match=r"t = 1\.0 s: found the command"):
-        loop.take(np.full(loop.problem.layout.size, np.nan))
+        loop.take(np.full(loop.problem.layout.size, np.nan), {})
 
 
 def test_observer_converges_from_any_attitude_and_rate() -> None:

@@ -116,9 +116,8 @@ def linear_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Arra
     p, u, x, x_next, F, Q: as of `exact_kernel`, (6,) and (6, 6), m and m/s. Steps serve the noise
     and the thrust: each adds that of constant velocity over its length; see `linear_step`.
     """
-    pushed, total, noise = _stepped(
-        p, t, u, np.zeros(6), x[6:], False
-    )  # from rest, by thrust alone
+    # From rest, by thrust alone.
+    pushed, total, noise = _stepped(p, t, u, np.zeros(6), x[6:], False)
     if not finite(total):
         return _why(p, t, duration(u), x)
     moved = dense.add_scaled_vector(dense.matvec(total, x), pushed, 1.0)

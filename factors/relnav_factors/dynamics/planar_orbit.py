@@ -87,6 +87,6 @@ class PlanarOrbit(DynamicsModel):
         return np.array([*orbit_array(self.orbit), self.acceleration_density, self.max_step])
 
     def directions(self, *x: Array) -> dict[str, tuple[Array, ...]]:
-        """The angle from a direction at rest, which nothing tells that is relative to the target."""
+        """The angle from a direction at rest, of which nothing tells that is relative to o."""
         along = (np.full((1, 1), float(block == ORBIT[2])) for block in ORBIT)
         return {"angle of the target along its orbit": tuple(along)}

@@ -115,8 +115,8 @@ def exact_step(
 def linear_step(orbit: Array, t: float, h: float, x: Array, thrust: Array) -> tuple[Array, Array]:
     """One step of the motion under linear gravity: ``Phi x + int Phi(t + h, s) a ds``, and Phi.
 
-    orbit: starts with the (5,) of `relnav_graph.maths.orbit.orbit_array`; t: start, s; h, x, thrust:
-    as of `exact_step`, and what is returned; Phi (6, 6): see
+    orbit: starts with the (5,) of `relnav_graph.maths.orbit.orbit_array`; t: start, s; h, x and
+    thrust as of `exact_step`, and what is returned; Phi (6, 6): see
     `relnav_graph.maths.orbit.relative_transition`. The integral by Gauss's rule of two points,
     which leaves out the fifth order of h.
     """
