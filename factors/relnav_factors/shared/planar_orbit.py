@@ -124,11 +124,12 @@ def put_turned(p: Array, t: float, u: Array, x: Array, R: Array, x_next: Array, 
         if not finite(ahead):
             return LOST_ORBIT
     else:
-        y = x[x.shape[0] - k :]
+        y = x[x.shape[0] - k :].copy()
+        y[2] = 0.0  # only its change counts
         later, slope = planar_motion(p[3], y, length)
         if not finite(slope):
             return NO_ORBIT
-        ahead, first = so3.exp(np.array([0.0, 0.0, y[2] - later[2]])), F.shape[1] - k
+        ahead, first = so3.exp(np.array([0.0, 0.0, -later[2]])), F.shape[1] - k
         for j in range(k):
             for i in range(F.shape[0]):  # a turn d of o about z turns a by -R^T z d
                 turn = slope[2, j] - (1.0 if j == 2 else 0.0)
