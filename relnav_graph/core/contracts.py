@@ -341,8 +341,8 @@ class Wanders(Protocol):
 
 @runtime_checkable
 class KnowsOrbit(Protocol):
-    """A model to which it matters how frame o turns: with the target's orbit, which is known;
-    None for an o at rest."""
+    """A model to which it matters how frame o turns: with the target's orbit, which is known, or
+    `estimated` and read from the state; None for an o at rest."""
 
     @property
     def orbit(self) -> KeplerOrbit | None: ...
