@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -77,7 +77,8 @@ class GroupError:
         if not d.any():
             return x, P
         J = self.slope(before)
-        there = self.moved(before, np.linalg.solve(J, d))
+        xi: Array = np.linalg.solve(J, d).astype(np.float64)
+        there = self.moved(before, xi)
         back = np.linalg.inv(self.layout.right_jacobian(d) @ J)
         M = self.slope(there) @ back
         P = M @ P @ M.T
@@ -132,7 +133,7 @@ class InvariantEngine(KalmanEngine):
         """Predict and update. Raises EstimationError when the state cannot be propagated or
         updated, or is no longer finite, ModelError when a kernel breaks its contract."""
         if assembly is None:
-            models: Any = self.problem.layout, self.problem.processes, self.problem.sensors
+            models = self.problem.layout, self.problem.processes, self.problem.sensors
             assembly = Assembly(*models, [epoch], t_before=state.t)
         done = self.through(assembly, FilterState(state.t, state.x, state.P))
         if done.stopped:

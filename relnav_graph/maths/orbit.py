@@ -11,7 +11,7 @@ it against 50 digits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Annotated
 
@@ -42,7 +42,7 @@ class KeplerOrbit:
     true_anomaly: Annotated[float, Quantity("rad")] = 0.0
     mu: Annotated[float, Quantity("m^3/s^2", positive=True)] = MU_EARTH
     epoch: Annotated[float, Quantity("s")] = 0.0
-    estimated: bool = False
+    estimated: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
