@@ -20,6 +20,14 @@ RELATIVE_VELOCITY_T = Block("relative_velocity", "v_tc_t", "vector", 3, "m/s", "
 # Of the chaser's own orbit: always inertial, from the Earth's centre.
 CHASER_POSITION = Block("chaser_position", "r_c_i", "vector", 3, "m", "i", "m")
 CHASER_VELOCITY = Block("chaser_velocity", "v_c_i", "vector", 3, "m/s", "i", "m/s")
+#: The target's orbit in its plane, with which o turns, where it is estimated: radius, its rate, the
+#: angle of the radius from a direction at rest (of perigee, say), its rate.
+ORBIT = (
+    Block("orbit_radius", "r_t", "vector", 1, "m", "-", "m"),
+    Block("orbit_radial_rate", "r_t'", "vector", 1, "m/s", "-", "m/s"),
+    Block("orbit_angle", "th_t", "vector", 1, "rad", "-", "deg"),
+    Block("orbit_angular_rate", "th_t'", "vector", 1, "rad/s", "-", "deg/s"),
+)
 TARGET_RATE = Block("target_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")
 #: The same under another name, for a target whose axes are arbitrary.
 BODY_RATE = Block("body_rate", "w_ti_t", "vector", 3, "rad/s", "t", "deg/s")

@@ -352,8 +352,8 @@ class BringsTruth(Protocol):
 
 @runtime_checkable
 class KnowsOrbit(Protocol):
-    """A model to which it matters how frame o turns: with the target's orbit, which is known;
-    None for an o at rest."""
+    """A model to which it matters how frame o turns: with the target's orbit, which is known, or
+    `estimated` and read from the state; None for an o at rest."""
 
     @property
     def orbit(self) -> KeplerOrbit | None: ...

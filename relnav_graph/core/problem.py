@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.catalogue import ORBIT
 from relnav_graph.core.cautions import (
     Caution,
     gap_cautions,
@@ -295,7 +296,8 @@ def padded(prior: Prior, x: Array, P: Array) -> tuple[Array, Array]:
 def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> None:
     """Raise InputError, naming two models, unless frame o turns alike for all.
 
-    A model to which it matters has an `orbit`: the target's, or None for an o that is at rest.
+    A model to which it matters has an `orbit`: the target's, or None for an o that is at rest. One
+    that is estimated is read by all of them, and advanced by one.
     """
     found = [
         (f"{section} {name!r} ({model.kind})", model.orbit)
@@ -309,6 +311,22 @@ def check_orbits(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor
             raise InputError(
                 f"{both[0]}, {both[1]}: expected one orbit for all, with which frame o turns"
             )
+    if not found or found[0][1] is None or not found[0][1].estimated:
+        return
+    names = {block.name for block in ORBIT}
+    if missing := names - {b.name for process in processes.values() for b in process.advances}:
+        raise InputError(
+            f"orbit.estimated: found no process that advances {', '.join(sorted(missing))},"
+            " expected one"
+        )
+    for section, models in (("process", processes), ("sensor", sensors)):
+        for name, model in models.items():
+            blocks = (*model.reads, *getattr(model, "advances", ()))
+            if isinstance(model, KnowsOrbit) and not names & {b.name for b in blocks}:
+                raise InputError(
+                    f"{section} {name!r} ({model.kind}): found an orbit that is estimated, expected"
+                    " one that is known: it cannot take it from the state"
+                )
 
 
 def layout_of(processes: Mapping[str, Dynamics], sensors: Mapping[str, Sensor]) -> Layout:

@@ -37,8 +37,9 @@ class Source(Protocol):
     def assembly(self) -> Assembly:
         """Of the newest epoch."""
 
-    def take(self, x: Array) -> None:
-        """Be told the estimate (size,) at the newest epoch, before the next one comes."""
+    def take(self, x: Array, besides: Mapping[str, Array]) -> None:
+        """Be told the estimate (size,) at the newest epoch, before the next one comes, and what is
+        estimated besides the state, by name, SI."""
 
     def whole(self) -> Problem:
         """The problem with all epochs that have come."""
@@ -59,7 +60,7 @@ class RecordedSource:
         """Of the newest epoch."""
         return self._assembly.at(self._newest)
 
-    def take(self, x: Array) -> None:
+    def take(self, x: Array, besides: Mapping[str, Array]) -> None:
         """It is no news to a recording."""
 
     def whole(self) -> Problem:
@@ -68,7 +69,10 @@ class RecordedSource:
 
 
 class _State(Protocol):
-    """Where an estimator stands: the newest estimate x (size,) and its covariance P (n, n)."""
+    """Where an estimator stands: the newest estimate x (size,) and its covariance P (n, n).
+
+    One that estimates more, for a controller, has that in `besides`, by name.
+    """
 
     @property
     def x(self) -> Array: ...
@@ -142,7 +146,7 @@ def drive(
             state = engine.advance(state, epoch, part)
             seconds.append(time.perf_counter() - begun)
             x[k], P[k] = state.x, state.P
-            source.take(state.x)
+            source.take(state.x, getattr(state, "besides", {}))
             if notice is not None:
                 notice(state)
     except UNSOLVED as error:

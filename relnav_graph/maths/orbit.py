@@ -2,7 +2,7 @@
 
 An orbit travels to the kernels as an array (5,): semilatus rectum p (m), eccentricity, true
 anomaly at the epoch (rad), mu (m^3/s^2), the epoch (s). Zeros stand for no orbit: a frame o
-that does not rotate.
+that does not rotate; zeros but for mu for one that is estimated, and stands in the state.
 
 Sources: Battin 1999, ch. 4 (universal functions) and eqs. 9.84-9.87 (transition matrix);
 Conway 1986 (Laguerre's method for Kepler's equation); tests/faults/test_orbits.py holds all of
@@ -11,7 +11,7 @@ it against 50 digits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Annotated
 
@@ -29,11 +29,12 @@ __all__ = ["KeplerOrbit", "chief_motion", "frame_rotation", "relative_transition
 
 @dataclass(frozen=True)
 class KeplerOrbit:
-    """Orbit of the target, known to the estimator.
+    """Orbit of the target, known to the estimator unless it is estimated.
 
     semi_major_axis: m, negative for a hyperbola; eccentricity; true_anomaly: rad, at the
-    epoch; mu: m^3/s^2; epoch: s, the time, in the pass's clock, at which the anomaly holds.
-    Raises InputError on a conic that does not exist.
+    epoch; mu: m^3/s^2; epoch: s, the time, in the pass's clock, at which the anomaly holds;
+    estimated: its motion in its plane stands in the state (`relnav_graph.core.catalogue.ORBIT`),
+    and estimators take mu alone from here. Raises InputError on a conic that does not exist.
     """
 
     semi_major_axis: Annotated[float, Quantity("m")]
@@ -41,6 +42,7 @@ class KeplerOrbit:
     true_anomaly: Annotated[float, Quantity("rad")] = 0.0
     mu: Annotated[float, Quantity("m^3/s^2", positive=True)] = MU_EARTH
     epoch: Annotated[float, Quantity("s")] = 0.0
+    estimated: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -55,6 +57,8 @@ class KeplerOrbit:
 
     def array(self) -> Array:
         """(5,), SI and rad, in the order that the head of this module says."""
+        if self.estimated:
+            return np.array([0.0, 0.0, 0.0, self.mu, 0.0])
         a, e = Fraction(self.semi_major_axis), Fraction(self.eccentricity)
         p = float(a * (1 - e * e))  # rounded once: 1 - e^2 loses digits as e nears 1
         return np.array([p, self.eccentricity, self.true_anomaly, self.mu, self.epoch])

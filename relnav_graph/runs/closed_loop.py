@@ -31,7 +31,7 @@ from relnav_graph.estimators import GROUP, TakesEpochs, diverged, try_estimator
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.registry import find_class
 from relnav_graph.scenario.scenario import Scenario
-from relnav_graph.sim.contracts import Flight
+from relnav_graph.sim.contracts import Flight, TakesBesides
 from relnav_graph.sim.instruments.interval_inputs import IntervalInputs
 from relnav_graph.sim.passes import biases_as_in
 from relnav_graph.sim.sensors import check_known, measure_once, stream
@@ -137,14 +137,16 @@ class ClosedLoop:
         before = self._epochs[-2].t if len(self._epochs) > 1 else None
         return self._models.again(self._epochs[-1], before)
 
-    def take(self, x: Array) -> None:
-        """Make the next command from an estimate x (size,). Raises EstimationError on a command
-        that is not finite."""
+    def take(self, x: Array, besides: Mapping[str, Array]) -> None:
+        """Make the next command from an estimate x (size,), and what is estimated besides, by name,
+        SI. Raises EstimationError on a command that is not finite."""
         law, t = self._law, self._epochs[-1].t
         if t < law.start - SAME_TIME:
             return
         layout, values = self.problem.layout, self._values[-1]
         estimate = {name: layout.value(x, name) for name in law.reads}
+        if isinstance(law, TakesBesides):
+            estimate |= {name: besides[name] for name in law.besides if name in besides}
         command = np.asarray(law.command(t, estimate, {name: values[name] for name in law.own}))
         if not np.isfinite(command).all():
             raise EstimationError(f"t = {t} s: found the command {command}, expected finite ones")

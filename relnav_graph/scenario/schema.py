@@ -193,7 +193,8 @@ def shared_orbit(
         out.setdefault("orbit", dict(orbit))
     elif "semi_major_axis" in names:
         placed = names & {"epoch", "true_anomaly", "argument_of_latitude"}
-        out = {**{k: v for k, v in orbit.items() if placed or k != "epoch"}, **out}
+        left = {"estimated"} if placed else {"estimated", "epoch"}  # a truth knows its orbit
+        out = {**{k: v for k, v in orbit.items() if k not in left}, **out}
     return out
 
 

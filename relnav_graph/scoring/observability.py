@@ -56,7 +56,7 @@ def _blocks_of(layout: Layout) -> list[Direction]:
     one = np.eye(layout.dim)
     return [
         Direction(
-            f"{b.name.replace('_', ' ')}, in {b.frame[-1:]}",
+            b.name.replace("_", " ") + (f", in {b.frame[-1:]}" if b.frame != "-" else ""),
             one[:, layout.tangent(b.name)],
             b.table_unit,
             b.table_scale,

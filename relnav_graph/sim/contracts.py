@@ -87,6 +87,17 @@ class Controller(Protocol):
 
 
 @runtime_checkable
+class TakesBesides(Protocol):
+    """A controller that takes what an estimator estimates besides the state, where it does: such
+    values stand in the `estimate` of its `command`.
+
+    besides: their names.
+    """
+
+    besides: ClassVar[tuple[str, ...]]
+
+
+@runtime_checkable
 class KnownInput(Protocol):
     """An input that is the same whatever is flown, and known exactly."""
 

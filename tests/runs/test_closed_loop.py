@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,6 +13,7 @@ import pytest
 from passes import EXPERIMENTS, relnav, truth_of
 from relnav_factors.sensors.vision_attitude import VisionAttitude
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.catalogue import CHASER_ATTITUDE
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import EstimationError, InputError, ModelError
@@ -68,7 +70,11 @@ class Biased(Ekf):
         honest, layout = source.take, source.problem.layout
         turn = np.zeros(layout.dim)
         turn[layout.tangent("target_attitude")] = np.radians(10.0), 0.0, 0.0
-        source.take = lambda x: honest(layout.retract(x, turn))  # type: ignore[method-assign]
+
+        def take(x: Array, besides: Mapping[str, Array]) -> None:
+            honest(layout.retract(x, turn), besides)
+
+        source.take = take  # type: ignore[method-assign]
         return super().drive(source)
 
 
@@ -83,7 +89,7 @@ class Failing(Ekf):
         for epoch in source:
             if epoch.t > 59.5:
                 raise EstimationError("gave up")
-            source.take(source.problem.prior.x)
+            source.take(source.problem.prior.x, {})
         raise AssertionError("unreachable")
 
 
@@ -184,7 +190,7 @@ def test_a_command_that_is_not_finite_ends_the_flight() -> None:
     next(epochs)
     next(epochs)
     with pytest.raises(EstimationError, match=r"t = 1\.0 s: found the command"):
-        loop.take(np.full(loop.problem.layout.size, np.nan))
+        loop.take(np.full(loop.problem.layout.size, np.nan), {})
 
 
 def test_observer_converges_from_any_attitude_and_rate() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from relnav_factors.dynamics.gravity_gradient_rotation import GravityGradientRot
 from relnav_factors.dynamics.gyro_bias import GyroBias
 from relnav_factors.dynamics.inertial_orbit_motion import InertialOrbitMotion
 from relnav_factors.dynamics.orbit_two_body import OrbitTwoBody
+from relnav_factors.dynamics.planar_orbit import PlanarOrbit
 from relnav_factors.dynamics.previous_pose import PreviousPose
 from relnav_factors.dynamics.relative_two_body import RelativeTwoBody
 from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
@@ -42,6 +44,7 @@ TRIANGLE = np.array([[0.1, -0.2, 0.3], [1.5, -0.2, 0.3], [0.5, 0.9, 0.3]])
 HU_INERTIA = np.array([[1000.0, 60, 40], [60, 800, 30], [40, 30, 600]])
 LOW = KeplerOrbit(7.2e6, 0.05, 0.3)
 HYPERBOLA = KeplerOrbit(-2.0e7, 1.4, -1.0)
+ESTIMATED = replace(LOW, estimated=True)
 
 
 def point_sensor(model: Any, anywhere: bool = False) -> SensorExample:
@@ -72,6 +75,12 @@ def constant(*diagonal: float) -> Callable[..., Array]:
     return lambda *x: np.diag(np.array(diagonal))
 
 
+def besides(model: Any) -> tuple[Any, ...]:
+    """The process of an orbit that a model reads."""
+    known = model.orbit is None or not model.orbit.estimated
+    return () if known else (PlanarOrbit(acceleration_density=1e-4, orbit=model.orbit),)
+
+
 def body_velocity(pose: Any, density: Any, attitude: Any) -> DynamicsExample:
     companion = gyro_model(1e-4, 1e-7, attitude=attitude)
     model = BodyVelocity(velocity_density=density, pose=pose)
@@ -98,7 +107,7 @@ def gyro(angle: Any, bias: Any, **options: Any) -> DynamicsExample:
     model = gyro_model(angle, bias, **options)
     squares = [*model.angle_random_walk_density**2, *model.bias_random_walk_density**2]
     count = sum(b.dim for b in model.advances)
-    return DynamicsExample(model, constant(*squares[:count]), {"gyro": 3})
+    return DynamicsExample(model, constant(*squares[:count]), {"gyro": 3}, besides(model))
 
 
 def attitude_sensor(model: Any, **step: float) -> SensorExample:
@@ -231,13 +240,21 @@ def earth_sensor(**options: Any) -> SensorExample:
 
 def relative_motion(**options: Any) -> DynamicsExample:
     model = EccentricRelativeMotion(acceleration_density=1e-6, **options)
-    return DynamicsExample(model, constant(0, 0, 0, 1e-12, 1e-12, 1e-12))
+    return DynamicsExample(model, constant(0, 0, 0, *[1e-12] * 3), companions=besides(model))
+
+
+def planar_orbit(**options: Any) -> DynamicsExample:
+    model = PlanarOrbit(acceleration_density=1e-4, orbit=ESTIMATED, **options)
+    return DynamicsExample(
+        model, lambda r, *rest: np.diag([0, 1e-8, 0, 1e-8 / r[0] ** 2]).astype(float)
+    )
 
 
 def rotation(inertia_density: float = 1e-4, **options: Any) -> DynamicsExample:
     model = EulerRotation(torque_density=1e-5, inertia_density=inertia_density, **options)
     ratios = sum(b.dim for b in model.advances[2:])
-    return DynamicsExample(model, constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios))
+    white = constant(0, 0, 0, *[1e-10] * 3, *[1e-8] * ratios)
+    return DynamicsExample(model, white, companions=besides(model))
 
 
 def pulled(**options: Any) -> DynamicsExample:

@@ -13,6 +13,7 @@ import numpy as np
 from example_kinds import with_variants
 from example_makers import (
     BEACONS,
+    ESTIMATED,
     HU_INERTIA,
     HYPERBOLA,
     LOW,
@@ -33,6 +34,7 @@ from example_makers import (
     odometry,
     orbit,
     own_orbit,
+    planar_orbit,
     point_sensor,
     pose_measurement,
     position_sensor,
@@ -223,6 +225,7 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         relative_motion(orbit=LOW),
         relative_motion(orbit=LOW, gravity="linear"),
         relative_motion(orbit=HYPERBOLA, max_step=2.5),
+        relative_motion(orbit=ESTIMATED),
     ),
     "euler_rotation": (
         rotation(orbit=LOW),
@@ -231,6 +234,8 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         rotation(inertia="known", known_inertia=HU_INERTIA),
         rotation(inertia="full", integrator="euler", max_step=0.2, rate="body_rate"),
         rotation(inertia_density=0.0, orbit=LOW),
+        rotation(inertia_density=0.0, orbit=ESTIMATED),
+        rotation(inertia="known", known_inertia=HU_INERTIA, orbit=ESTIMATED),
         rotation(inertia_density=0.0, inertia="full"),
     ),
     "gravity_gradient_rotation": (
@@ -245,6 +250,8 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         gyro(1e-4, 0.0, orbit=LOW),
         gyro(1e-4, 1e-4, bias_time_constant=600.0, part="drift"),
         gyro(1e-4, 1e-4, part="drift", samples="together", orbit=LOW),
+        gyro(1e-4, 1e-6, orbit=ESTIMATED),
+        gyro(1e-4, 1e-4, part="drift", orbit=ESTIMATED),
     ),
     "orbit_two_body": (
         orbit(0, position_density=0.1),
@@ -252,6 +259,7 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         orbit(2, max_step=2.5),
         orbit(20, **TURNING),
     ),
+    "planar_orbit": (planar_orbit(), planar_orbit(max_step=2.5)),
     "previous_pose": (
         copy(),
         copy(pose="target", attitude_sigma=1e-3, position_sigma=1e-3),

@@ -8,8 +8,9 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from relnav_factors.shared.inertia import coefficients_of, full_coefficients, principal_coefficients
+from relnav_factors.shared.planar_orbit import in_state, orbit_blocks, put_turned
 from relnav_factors.shared.rate_steps import published_step, rate_step, start_of
-from relnav_factors.shared.statuses import LOST_ORBIT, NO_BODY, ROTATION_FAILURES, TOO_FAST, finite
+from relnav_factors.shared.statuses import NO_BODY, ROTATION_FAILURES, TOO_FAST, finite
 from relnav_factors.shared.white_noise import add_step, duration, put_advanced, step_count
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import give_way, jit
@@ -20,7 +21,7 @@ from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.inertia import check_inertia
-from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
+from relnav_graph.maths.orbit import KeplerOrbit, orbit_array
 from relnav_graph.units import Quantity
 
 #: Where the numbers of the kernels stand in p, after the orbit (5,).
@@ -35,15 +36,14 @@ def _rotate(
 ) -> int:
     """``R_ot' = R_ot [w_ti_t x] - [w_oi_o x] R_ot`` and w', for the kernels below.
 
-    A: (3, 6), dA: (dim k, 3, 6), see `principal_coefficients`; the rest: see `principal_kernel`.
-    Returns 0, or a status of `ROTATION_FAILURES`.
+    A: (3, 6), dA: (dim k, 3, 6), see `principal_coefficients`; the rest, and what is returned: see
+    `principal_kernel`, `ROTATION_FAILURES`.
     """
     if not finite(A):
         return NO_BODY
-    length = duration(u)
-    steps = step_count(length, p[MAX_STEP])
-    h = length / steps
-    n, angle = x.shape[0] - 6, np.empty(3)  # n: of the tangent
+    steps = step_count(duration(u), p[MAX_STEP])
+    h = duration(u) / steps
+    n, angle = x.shape[0] - 6 - in_state(p), np.empty(3)  # n: of the tangent, but for the orbit
     R_ot, w = dense.matrix_at(x, 0), dense.vector_at(x, 9)
     total, noise, step = dense.identity(n), np.zeros((n, n)), dense.identity(n)
     for done in range(steps):
@@ -70,10 +70,9 @@ def _rotate(
             noise[i, i] += p[_INERTIA_DENSITY] ** 2 * h
     if not (finite(R_ot) and finite(total)):
         return TOO_FAST
-    turned = frame_rotation(p, t, t + length)
-    if not finite(turned):
-        return LOST_ORBIT
-    dense.put_matrix(x_next, 0, so3.project(dense.matmul(turned, R_ot)))
+    status = put_turned(p, t, u, x, R_ot, x_next, F)
+    if status != 0:
+        return status
     dense.put_vector(x_next, 9, w)
     for i in range(12, x_next.shape[0]):
         x_next[i] = x[i]
@@ -89,10 +88,10 @@ def principal_kernel(
 
     p (9,): orbit (5,), torque density (rad/s^1.5), density of k (1/sqrt(s)), longest step (s), 1
     for Euler's integrator, else 0. u (rows, 1): dt, s. x, x_next (14,): R_ot row by row, w_ti_t
-    (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1. Of a constant k: F (6, 8), Q (6, 6).
+    (rad/s), k (2,). F, Q (8, 8), in rad, rad/s and 1. Of a constant k: F (6, 8), Q (6, 6). After
+    them in x and F an orbit (4,), where it is in the state.
     """
-    A, dA = principal_coefficients(x[12:])
-    return _rotate(p, t, u, x, A, dA, x_next, F, Q)
+    return _rotate(p, t, u, x, *principal_coefficients(x[12:]), x_next, F, Q)
 
 
 @jit
@@ -101,8 +100,7 @@ def full_kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array,
 
     x, x_next (17,): R_ot, w_ti_t (rad/s), k (5,). F, Q (11, 11), or F (6, 11), Q (6, 6).
     """
-    A, dA = full_coefficients(x[12:])
-    return _rotate(p, t, u, x, A, dA, x_next, F, Q)
+    return _rotate(p, t, u, x, *full_coefficients(x[12:]), x_next, F, Q)
 
 
 @jit
@@ -171,7 +169,8 @@ class EulerRotation(DynamicsModel):
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return () if self.inertia_density else _BLOCKS[self.inertia]
+        inertia = () if self.inertia_density else _BLOCKS[self.inertia]
+        return *inertia, *orbit_blocks(self.orbit)
 
     def caution(self, length: float, *x: Array) -> str:
         """Half a turn or more between epochs looks like the rest of a turn backwards."""
@@ -189,12 +188,13 @@ class EulerRotation(DynamicsModel):
         """What a steady spin hides: the phase, and the inertia ratios."""
         w, none = x[1][:, None], np.zeros((3, 1))
         spin = w / max(float(np.linalg.norm(w)), 1e-12)
+        orbit = tuple(np.zeros((b.dim, 1)) for b in orbit_blocks(self.orbit))
         ratios = np.eye(sum(b.dim for b in _BLOCKS[self.inertia]))
-        rest = (0 * ratios[:, :1],) if len(ratios) else ()
+        rest = (0 * ratios[:, :1], *orbit) if len(ratios) else orbit
         found = {
             "rotation of the target about its spin axis": (spin, none, *rest),
             "rate of the target along its spin axis": (none, spin, *rest),
         }
         for n, ratio in enumerate(ratios, 1):
-            found[f"inertia ratio k{n}"] = (none, none, ratio[:, None])
+            found[f"inertia ratio k{n}"] = (none, none, ratio[:, None], *orbit)
         return found

@@ -9,9 +9,10 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 
 from relnav_factors.shared.gauss_markov import Part, walk_and_integral
-from relnav_factors.shared.statuses import LOST_ORBIT, NO_PLACE, finite
+from relnav_factors.shared.planar_orbit import in_state, orbit_blocks, put_turned
+from relnav_factors.shared.statuses import ORBIT_FAILURES, finite
 from relnav_factors.shared.strapdown import GYRO_COLUMNS, LARGEST_TURN, condense
-from relnav_factors.shared.white_noise import carry, duration, put_advanced
+from relnav_factors.shared.white_noise import carry, put_advanced
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, GYRO_BIAS, GYRO_DRIFT, RELATIVE_ATTITUDE
@@ -19,7 +20,7 @@ from relnav_graph.core.models import DynamicsModel
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
-from relnav_graph.maths.orbit import KeplerOrbit, frame_rotation, orbit_array
+from relnav_graph.maths.orbit import KeplerOrbit, orbit_array
 from relnav_graph.units import Quantity
 
 #: Where the numbers of the kernel stand in p, after the orbit (5,).
@@ -34,14 +35,14 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
     rad/s^1.5, T (s; inf: the bias is a random walk). u (rows, 4): dt (s), mean of the gyro
     (rad/s, in c). x, x_next (12,): R_oc (or R_tc) row by row, b (rad/s, in c). F, Q (6, 6), in rad
     and rad/s. Of a constant bias: x_next (9,), F (3, 6), Q (3, 3). Of one that drifts: b is the
-    drift, x (15,) ends with the constant, which the gyro has besides, and F is (6, 9). Status: see
-    `GyroBias.failures`.
+    drift, x (15,) ends with the constant, which the gyro has besides, and F is (6, 9). An orbit in
+    the state stands last in x and F, (4,). Status: see `GyroBias.failures`.
 
     Noises of attitude and bias are correlated: the bias walks while the attitude turns. R_o1o0 is
-    the turn of the orbital frame, see `relnav_graph.maths.orbit.frame_rotation`.
+    the turn of the orbital frame, see `relnav_factors.shared.planar_orbit.put_turned`.
     """
     R_oc, b = dense.matrix_at(x, 0), dense.vector_at(x, 9)
-    n = x.shape[0] - 6  # R_oc counts three
+    n = x.shape[0] - 6 - in_state(p)  # R_oc counts three
     constant = dense.vector_at(x, 12) if n > 6 else np.zeros(3)
     total, noise, step = dense.identity(n), np.zeros((n, n)), dense.identity(n)
     turn = np.empty(3)
@@ -71,11 +72,9 @@ def kernel(p: Array, t: float, u: Array, x: Array, x_next: Array, F: Array, Q: A
             noise[3 + i, 3 + i] += w * w * own
     if not finite(R_oc):
         return 2
-    ahead = frame_rotation(p, t, t + duration(u))
-    if not finite(ahead):
-        return LOST_ORBIT
-    R_next = dense.matmul(ahead, R_oc)
-    dense.put_matrix(x_next, 0, so3.project(R_next))
+    status = put_turned(p, t, u, x, R_oc, x_next, F)
+    if status != 0:
+        return status
     for i in range(9, x_next.shape[0]):
         x_next[i] = b[i - 9]
     put_advanced(total, noise, F, Q)
@@ -104,7 +103,7 @@ class GyroBias(DynamicsModel):
     kind: ClassVar[str] = "gyro_bias"
     inputs: ClassVar[Mapping[str, tuple[str, ...]]] = {"gyro": GYRO_COLUMNS}
     kernel = staticmethod(kernel)
-    failures = {LOST_ORBIT: NO_PLACE, 2: "a turn of the gyro is beyond what floats hold"}
+    failures = {**ORBIT_FAILURES, 2: "a turn of the gyro is beyond what floats hold"}
 
     angle_random_walk_density: Annotated[
         Array, Quantity("rad/sqrt(s)", (3,), positive=True, fill=True)
@@ -146,7 +145,8 @@ class GyroBias(DynamicsModel):
 
     @property
     def reads(self) -> tuple[Block, ...]:
-        return (GYRO_BIAS,) if GYRO_BIAS not in self.advances else ()
+        own = (GYRO_BIAS,) if GYRO_BIAS not in self.advances else ()
+        return *own, *orbit_blocks(self.orbit)
 
     @property
     def noises(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -1,4 +1,4 @@
-"""Steps of the relative motion about a target on a known orbit, in its rotating axes o."""
+"""Steps of the relative motion about a target on its orbit, in its rotating axes o."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.compiled import jit
 from relnav_graph.maths import dense
-from relnav_graph.maths.orbit import chief_motion, relative_transition
+from relnav_graph.maths.orbit import relative_transition
 
 
 @jit
@@ -50,26 +50,56 @@ def relative_acceleration(motion: Array, mu: float, x: Array) -> tuple[Array, Ar
 
 
 @jit
-def exact_step(orbit: Array, t: float, h: float, x: Array, thrust: Array) -> tuple[Array, Array]:
+def acceleration_to_orbit(motion: Array, mu: float, x: Array) -> Array:
+    """Jacobian (3, 3) of `relative_acceleration` to the target's radius, rate and acceleration of
+    its angle, m/s^2 per m, rad/s and rad/s^2.
+
+    motion (5,), mu, x (6,): as there.
+    """
+    radius, rate = motion[0], motion[3]
+    out, n = np.zeros((3, 3)), dense.vector_at(x, 0)
+    n[0] += radius
+    distance = dense.norm(n)
+    pull = mu / distance**3
+    for i in range(3):  # the gravity gradients at chaser and target, along the radius
+        out[i, 0] = 3 * pull * (n[0] / distance) * (n[i] / distance)
+    out[0, 0] -= pull + 2 * mu / radius**3
+    out[0, 1], out[0, 2] = 2 * x[4] + 2 * rate * x[0], x[1]
+    out[1, 1], out[1, 2] = -2 * x[3] + 2 * rate * x[1], -x[0]
+    return out
+
+
+@jit
+def exact_step(
+    motions: Array, slopes: Array, mu: float, h: float, x: Array, thrust: Array
+) -> tuple[Array, Array]:
     """One Runge-Kutta step of `relative_acceleration` and thrust, of fourth order.
 
-    orbit: starts with the (5,) of `relnav_graph.maths.orbit.orbit_array`; t: start, s; h: length,
-    s; x: (6,): r_tc_o (m), r_tc_o' (m/s); thrust: starts with the acceleration (3,), m/s^2, in o.
-    Returns x after the step, (6,), and its Jacobian (6, 6)
-    to x, which is exact for the step as computed.
+    motions (3, 5), slopes (3, 5, k): of the target at the start, the middle and the end of the
+    step, see `relnav_factors.shared.planar_orbit.motions_over`, and their Jacobian to k numbers of
+    its orbit; mu: m^3/s^2; h: length, s; x: (6,): r_tc_o (m), r_tc_o' (m/s); thrust: starts with
+    the acceleration (3,), m/s^2, in o. Returns x after the step, (6,), and its Jacobian (6, 6 + k)
+    to x and these, which is exact for the step as computed.
     """
-    one = dense.identity(6)
+    m = 6 + slopes.shape[2]
+    one = np.zeros((6, m))
+    for i in range(6):
+        one[i, i] = 1.0
     at_x, at_d, end_x, end_d = x, one, x, one
-    k, dk = np.empty(6), np.empty((6, 6))
-    motion = chief_motion(orbit, t)
+    k, dk = np.empty(6), np.empty((6, m))
     for stage in range(4):
-        if stage in (1, 3):
-            motion = chief_motion(orbit, t + h if stage == 3 else t + 0.5 * h)
-        a, da = relative_acceleration(motion, orbit[3], at_x)
+        when = (stage + 1) // 2  # the middle twice
+        a, da = relative_acceleration(motions[when], mu, at_x)
         chained = dense.matmul(da, at_d)
+        if m > 6:
+            to_orbit = acceleration_to_orbit(motions[when], mu, at_x)
+            for i in range(3):
+                for j in range(6, m):
+                    for l, of in enumerate((0, 3, 4)):
+                        chained[i, j] += to_orbit[i, l] * slopes[when, of, j - 6]
         for i in range(3):
             k[i], k[3 + i] = at_x[3 + i], a[i] + thrust[i]
-            for j in range(6):
+            for j in range(m):
                 dk[i, j], dk[3 + i, j] = at_d[3 + i, j], chained[i, j]
         weight = h / 6 if stage in (0, 3) else h / 3
         end_x, end_d = (
@@ -85,7 +115,8 @@ def exact_step(orbit: Array, t: float, h: float, x: Array, thrust: Array) -> tup
 def linear_step(orbit: Array, t: float, h: float, x: Array, thrust: Array) -> tuple[Array, Array]:
     """One step of the motion under linear gravity: ``Phi x + int Phi(t + h, s) a ds``, and Phi.
 
-    orbit, t, h, x, thrust: as of `exact_step`, and what is returned; Phi: see
+    orbit: starts with the (5,) of `relnav_graph.maths.orbit.orbit_array`; t: start, s; h, x and
+    thrust as of `exact_step`, and what is returned; Phi (6, 6): see
     `relnav_graph.maths.orbit.relative_transition`. The integral by Gauss's rule of two points,
     which leaves out the fifth order of h.
     """

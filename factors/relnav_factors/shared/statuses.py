@@ -36,10 +36,16 @@ def degenerate(*quantities: str) -> dict[int, str]:
 #: Status of processes about an orbit, and what it means.
 LOST_ORBIT = 1
 NO_PLACE = "the target's place on its orbit cannot be told at these times: too many turns from 0"
+#: Status of processes about an orbit in the state, and what it means.
+NO_ORBIT = 4
+ORBIT_FAILURES = {
+    LOST_ORBIT: NO_PLACE,
+    NO_ORBIT: "the estimated orbit of the target is none: no radius, or beyond what floats hold",
+}
 #: Statuses of processes of a rotation: of its rate, and of the inertia's parameters.
 TOO_FAST, NO_BODY = 2, 3
 ROTATION_FAILURES = {
-    LOST_ORBIT: NO_PLACE,
+    **ORBIT_FAILURES,
     TOO_FAST: "the rate of the target is beyond what floats hold",
     NO_BODY: "the inertia parameters are too large for any body: its moments are beyond floats",
 }

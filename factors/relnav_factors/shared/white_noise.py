@@ -28,6 +28,17 @@ def step_count(length: float, longest: float) -> int:
 
 
 @jit
+def add_driven_pair(Q: Array, value: int, rate: int, variance: float, h: float) -> None:
+    """`add_integrated_white_noise` of one axis: its value and its rate stand anywhere in Q."""
+    of_rate = variance * h
+    joint = of_rate * h / 2
+    Q[value, value] += joint * h * 2 / 3
+    Q[value, rate] += joint
+    Q[rate, value] += joint
+    Q[rate, rate] += of_rate
+
+
+@jit
 def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) -> None:
     """Add to Q the noise of three axes whose rate is a random walk, over h seconds.
 
@@ -38,14 +49,8 @@ def add_integrated_white_noise(Q: Array, row: int, variance: float, h: float) ->
 
     After Bar-Shalom, Li, Kirubarajan 2001, eq. 6.2.2-12.
     """
-    of_rate = variance * h
-    joint = of_rate * h / 2
-    of_value = joint * h * 2 / 3
     for i in range(row, row + 3):
-        Q[i, i] += of_value
-        Q[i, 3 + i] += joint
-        Q[3 + i, i] += joint
-        Q[3 + i, 3 + i] += of_rate
+        add_driven_pair(Q, i, 3 + i, variance, h)
 
 
 @jit
@@ -73,11 +78,11 @@ def add_step(step: Array, variance: float, h: float, F: Array, Q: Array) -> None
 def put_advanced(total: Array, noise: Array, F: Array, Q: Array) -> None:
     """Fill F (n, m) and Q (n, n) with the first rows of total and noise, (m, m).
 
-    A block that is constant is only read: it stands last and has no rows. Units: those of the
-    state.
+    A block that is constant is only read: it stands last and has no rows. Further columns of F are
+    left as they are. Units: those of the state.
     """
     for i in range(Q.shape[0]):
-        for j in range(F.shape[1]):
+        for j in range(total.shape[1]):
             F[i, j] = total[i, j]
         for j in range(Q.shape[0]):
             Q[i, j] = noise[i, j]

@@ -25,6 +25,10 @@ SCALES: Mapping[str, tuple[float, float, float]] = {
     "relative_velocity": (0.01, 0.5, 5.0),
     "chaser_position": (1e4, 1e5, 1e6),
     "chaser_velocity": (100.0, 20.0, 1000.0),
+    "orbit_radius": (1e4, 1e5, 5e5),
+    "orbit_radial_rate": (100.0, 50.0, 500.0),
+    "orbit_angle": (1e-3, 1.0, 10.0),
+    "orbit_angular_rate": (1e-5, 1e-5, 1e-4),
     "target_rate": (1e-4, 0.05, 0.5),
     "gyro_bias": (1e-7, 1e-5, 1e-2),
     "body_rate": (1e-4, 0.05, 0.15),  # Euler's steps diverge at more
@@ -51,7 +55,11 @@ SCALES: Mapping[str, tuple[float, float, float]] = {
 
 #: About which the components are drawn, where that is not zero: an orbit is no orbit at
 #: the centre of the Earth.
-PLACES: Mapping[str, Array] = {"chaser_position": np.array([3.1e6, -4.9e6, 4.2e6])}
+PLACES: Mapping[str, Array] = {
+    "chaser_position": np.array([3.1e6, -4.9e6, 4.2e6]),
+    "orbit_radius": np.array([7.2e6]),
+    "orbit_angular_rate": np.array([1.03e-3]),
+}
 
 
 def scale_of(name: str, regime: str) -> float:

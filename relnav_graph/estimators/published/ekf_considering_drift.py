@@ -3,7 +3,7 @@ state that it estimates, and it counts it all the same."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -57,9 +57,9 @@ class _ConsideringDrifts:
         """Of the newest epoch."""
         return self._source.assembly()
 
-    def take(self, x: Array) -> None:
+    def take(self, x: Array, besides: Mapping[str, Array]) -> None:
         """Tell the source, which has the same states."""
-        self._source.take(x)
+        self._source.take(x, besides)
 
     def whole(self) -> Problem:
         """All epochs that have come, with drifts considered."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -113,10 +113,10 @@ class _WithoutDrifts:
         assert epoch is not None
         return self._models.again(epoch, before)
 
-    def take(self, x: Array) -> None:
+    def take(self, x: Array, besides: Mapping[str, Array]) -> None:
         """Tell the source, whose states have drifts."""
         layout = self._source.problem.layout
-        self._source.take(_whole(layout, self.problem.layout, x[None])[0])
+        self._source.take(_whole(layout, self.problem.layout, x[None])[0], besides)
 
     def whole(self) -> Problem:
         """All epochs that have come, without drifts."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -61,6 +61,27 @@ def observer_step(
     return so3.project(dense.matmul(R_hat, so3.exp(turn))), h_next
 
 
+@jit
+def observed_acceleration(
+    beta: float, inertia: Array, R_hat: Array, h_i: Array, R_seen: Array, torque_t: Array
+) -> Array:
+    """w_ti_t' (3,), rad/s^2, as the observer has it: of ``w = J^-1 R_hat^T h``.
+
+        w' = J^-1 (-w x J w + torque + beta/2 R_hat^T R_seen J^-1 e)
+
+    beta: kg^2 m^4 / s^2; inertia (2, 3, 3): J, in t, kg m^2, and its inverse; the rest: as of
+    `observer_step`. R_hat is taken to turn by w, as printed, and not by what brings it to the
+    measured attitude besides.
+    """
+    w = momentum_rate(inertia[1], R_hat, h_i)
+    between = dense.transposed_matmul(R_hat, R_seen)
+    e = dense.vector_at(so3.quaternion(between), 1)
+    gyration = so3.cross(w, dense.matvec(inertia[0], w))
+    pull = dense.add_scaled_vector(torque_t, gyration, -1.0)
+    told = dense.matvec(between, dense.matvec(inertia[1], e))
+    return dense.matvec(inertia[1], dense.add_scaled_vector(pull, told, 0.5 * beta))
+
+
 def _seen(problem: Problem, epoch: Epoch) -> Iterator[Array]:
     """Attitudes (3, 3) of the target as measured in an epoch."""
     for m in epoch.measurements:
@@ -109,7 +130,8 @@ class ObserverState:
 
     R_hat (3, 3): R_it as estimated; h_i (3,), N m s, in i; held (3, 3): R_it as measured last,
     torque_t (3,), N m, in t: what the next interval is observed with; x (size,): the estimate
-    as stored; P (n, n): all NaN, the observer has no covariance.
+    as stored; P (n, n): all NaN, the observer has no covariance; besides: target_acceleration
+    (3,), w_ti_t', rad/s^2.
     """
 
     t: float | None
@@ -119,6 +141,7 @@ class ObserverState:
     torque_t: Array
     x: Array
     P: Array
+    besides: Mapping[str, Array]
 
 
 class _Observer:
@@ -128,6 +151,7 @@ class _Observer:
         self.problem = problem
         self.process, inertia = _process(problem)
         self.inverse = np.asarray(np.linalg.inv(inertia), dtype=np.float64)
+        self.inertia = np.array([inertia, self.inverse])
         mean = np.trace(inertia) / 3
         self.k, self.beta = 4 * damping * frequency, (2 * mean * frequency) ** 2
 
@@ -135,7 +159,7 @@ class _Observer:
         """With no momentum, before the first epoch."""
         layout = self.problem.layout
         x, P = np.full(layout.size, np.nan), np.full((layout.dim, layout.dim), np.nan)
-        return ObserverState(None, np.eye(3), np.zeros(3), np.eye(3), np.zeros(3), x, P)
+        return ObserverState(None, np.eye(3), np.zeros(3), np.eye(3), np.zeros(3), x, P, {})
 
     def advance(
         self, s: ObserverState, epoch: Epoch, assembly: Assembly | None = None
@@ -156,7 +180,9 @@ class _Observer:
         rate = momentum_rate(self.inverse, R_hat, h_i)
         x = self.problem.layout.pack({TARGET_ATTITUDE.name: R_hat, TARGET_RATE.name: rate})
         torque_t = self.process.torque(epoch.t, R_hat)
-        return ObserverState(epoch.t, R_hat, h_i, held, torque_t, x, s.P)
+        turning = observed_acceleration(self.beta, self.inertia, R_hat, h_i, held, torque_t)
+        besides = {"target_acceleration": turning}
+        return ObserverState(epoch.t, R_hat, h_i, held, torque_t, x, s.P, besides)
 
 
 def _process(problem: Problem) -> tuple[KnowsTorque, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
@@ -24,22 +24,36 @@ CONTROL_RATE = Block("control_rate", "w_ct_c", "vector", 3, "rad/s", "c", "deg/s
 
 
 @jit
+def free_acceleration(inertias: Array, target: Array, orbit: Array, t: float) -> Array:
+    """w_ti_t' (3,), rad/s^2, by Euler's equations under the gravity gradient. inertias (3, 3, 3),
+    target (7,), t: as of `tracking_torque`."""
+    J_t, w_t = inertias[0], dense.vector_at(target, 4)
+    gyration = so3.cross(w_t, dense.matvec(J_t, w_t))
+    pull_t = gravity_gradient(orbit, J_t, t, target[0:4])
+    return dense.matvec(inertias[1], dense.add_scaled_vector(pull_t, gyration, -1.0))
+
+
+@jit
 def tracking_torque(
-    gains: Array, inertias: Array, target: Array, chaser: Array, orbit: Array, t: float
+    gains: Array,
+    inertias: Array,
+    target: Array,
+    desired: Array,
+    chaser: Array,
+    orbit: Array,
+    t: float,
 ) -> Array:
     """The torque (3,), N m, in c, at time t, s. gains: lambda, k (1/s); inertias (3, 3, 3):
-    J_t, its inverse, J_c; target, chaser (7,): attitude in i as q_wxyz and rate in own axes."""
-    J_t, J_c = inertias[0], inertias[2]
+    J_t, its inverse, J_c; target, chaser (7,): attitude in i as q_wxyz and rate in own axes;
+    desired (3,): w_ti_t', rad/s^2."""
+    J_c = inertias[2]
     R_ic = so3.from_quaternion(chaser[0:4])
     R_ct = dense.transposed_matmul(R_ic, so3.from_quaternion(target[0:4]))
     w_t, w_c = dense.vector_at(target, 4), dense.vector_at(chaser, 4)
     q_tc = so3.quaternion(dense.transposed_matmul(R_ct, dense.identity(3)))  # its sign is +
     aim = dense.matvec(R_ct, w_t)
-    gyration = so3.cross(w_t, dense.matvec(J_t, w_t))
-    pull_t = gravity_gradient(orbit, J_t, t, target[0:4])
     pull_c = gravity_gradient(orbit, J_c, t, chaser[0:4])
-    a_t = dense.matvec(inertias[1], dense.add_scaled_vector(pull_t, gyration, -1.0))
-    a_t = dense.matvec(R_ct, a_t)
+    a_t = dense.matvec(R_ct, desired)
     e, error = dense.vector_at(q_tc, 1), dense.add_scaled_vector(w_c, aim, -1.0)
     turning, sideways = so3.cross(e, error), so3.cross(error, aim)
     w_r, a_r, s = np.empty(3), np.empty(3), np.empty(3)
@@ -67,8 +81,10 @@ class AttitudeTracking:
     With s = w_c - w_r and w_r = R_ct w_t - lambda e, e the vector part of the quaternion of
     R_tc: torque = -k J_c s + J_c w_r' + w_r x J_c w_c - gravity gradient on the chaser
     (Egeland and Godhavn 1994, without adaptation; Thienel et al. 2006, section IV; their K_D
-    is k J_c here). The target's angular acceleration follows from its estimated attitude and
-    rate by Euler's equations, so that the noise of an observer's innovations is left out.
+    is k J_c here). acceleration: whence the target's angular acceleration. "euler": from its
+    estimated attitude and rate by Euler's equations, so that the noise of an observer's innovations
+    is left out; "observer": as an observer gives it, the derivative of its rate, as the paper has
+    it; by Euler's equations, with which they predict, of estimators that give none.
 
     start: s; semi_major_axis (m), inclination, raan, argument_of_latitude (rad, at the epoch, s):
     the orbit;
@@ -81,6 +97,7 @@ class AttitudeTracking:
 
     kind: ClassVar[str] = "attitude_tracking"
     reads: ClassVar[tuple[str, ...]] = ("target_attitude", "target_rate")
+    besides: ClassVar[tuple[str, ...]] = ("target_acceleration",)
     own: ClassVar[tuple[str, ...]] = ("chaser_attitude", "chaser_rate")
     controlled: ClassVar[tuple[Block, ...]] = (CONTROL_ATTITUDE, CONTROL_RATE)
 
@@ -94,6 +111,7 @@ class AttitudeTracking:
     raan: Annotated[float, Quantity("rad")] = 0.0
     argument_of_latitude: Annotated[float, Quantity("rad")] = 0.0
     epoch: Annotated[float, Quantity("s")] = 0.0
+    acceleration: Literal["euler", "observer"] = "euler"
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -113,13 +131,13 @@ class AttitudeTracking:
 
     def command(self, t: float, estimate: Mapping[str, Array], own: Mapping[str, Array]) -> Array:
         """Torque on the chaser (3,), N m, in c."""
-        found: Array = tracking_torque(
-            *self._gains_and_inertias,
-            _pose(estimate["target_attitude"], estimate["target_rate"]),
-            _pose(own["chaser_attitude"], own["chaser_rate"]),
-            self._orbit,
-            t,
-        )
+        gains, inertias = self._gains_and_inertias
+        target = _pose(estimate["target_attitude"], estimate["target_rate"])
+        desired = estimate.get("target_acceleration") if self.acceleration == "observer" else None
+        if desired is None:
+            desired = free_acceleration(inertias, target, self._orbit, t)
+        chaser = _pose(own["chaser_attitude"], own["chaser_rate"])
+        found: Array = tracking_torque(gains, inertias, target, desired, chaser, self._orbit, t)
         return found
 
     def control_errors(self, values: Mapping[str, Array]) -> dict[str, Array]:

@@ -46,15 +46,19 @@ class OrbitElements:
     argument_of_perigee: Annotated[float, Quantity("rad")] = 0.0
     epoch: Annotated[float, Quantity("s")] = 0.0
 
-    def _anomaly(self, t: float, mu: float) -> float:
-        """The true anomaly at time t, s, rad: Kepler's equation by halving, from its bounds."""
-        if t == self.epoch:
-            return self.true_anomaly
+    def _mean_anomaly(self) -> float:
+        """That at the epoch, rad, within half a turn of zero."""
         e = self.eccentricity
         lag = np.arctan2(
             np.sqrt(1 - e * e) * np.sin(self.true_anomaly), e + np.cos(self.true_anomaly)
         )
-        mean = lag - e * np.sin(lag)
+        return float(lag - e * np.sin(lag))
+
+    def _anomaly(self, t: float, mu: float) -> float:
+        """The true anomaly at time t, s, rad: Kepler's equation by halving, from its bounds."""
+        if t == self.epoch:
+            return self.true_anomaly
+        e, mean = self.eccentricity, self._mean_anomaly()
         mean += np.remainder((t - self.epoch) * np.sqrt(mu / self.semi_major_axis**3), 2 * np.pi)
         low, high = mean - e, mean + e
         while low < (middle := 0.5 * (low + high)) < high:
@@ -65,10 +69,14 @@ class OrbitElements:
 
     def initial_R_io(self, t: float = 0.0, mu: float = MU_EARTH) -> Array:
         """R_io (3, 3) at the start t, s: from RTN axes of the orbit to inertial ones."""
+        return self._to_perigee(self._anomaly(t, mu))
+
+    def _to_perigee(self, beyond: float = 0.0) -> Array:
+        """R_ip (3, 3) of the axes of the perigee p, or of those turned beyond it by an angle, rad,
+        about the normal."""
         z, x = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-        latitude = self.argument_of_perigee + self._anomaly(t, mu)
         plane = so3.exp(self.raan * z) @ so3.exp(self.inclination * x)
-        return np.asarray(plane @ so3.exp(latitude * z))
+        return np.asarray(plane @ so3.exp((self.argument_of_perigee + beyond) * z))
 
     def initial_orbits(
         self, position: Array, velocity: Array, t: float = 0.0, mu: float = MU_EARTH
@@ -146,7 +154,9 @@ class RigidBodyPair(OrbitElements):
 
         Values: chaser_attitude R_oc and target_attitude R_ot (N, 3, 3), relative_position
         r_tc_o and relative_velocity (its derivative in o), target_rate w_ti_t, chaser_rate
-        w_ci_c (N, 3), inertia_parameters (N, 2). Noise is constant over each integration
+        w_ci_c (N, 3), inertia_parameters (N, 2), and the target's orbit, orbit_radius,
+        orbit_radial_rate, orbit_angle (from the first perigee) and orbit_angular_rate (N, 1).
+        Noise is constant over each integration
         step with variance density^2 / step. Raises InputError on times out of order, or too far
         apart for the steps.
         """
@@ -206,9 +216,22 @@ class RigidBodyPair(OrbitElements):
         R_it = self.initial_R_io(mu=self.mu) @ so3.exp(self.target_attitude.copy())
         return np.concatenate([self._orbits(), so3.quaternion(R_it), self.target_rate])
 
+    def _unwrapped(self, t: Array, wrapped: Array) -> Array:
+        """True anomalies (N,), rad, at times t, s, with the whole turns since the epoch.
+
+        wrapped: the same but for whole turns. Less than half a turn lies between a true and a mean
+        anomaly.
+        """
+        begin, turn = self._mean_anomaly(), 2 * np.pi
+        mean = begin + (t - self.epoch) * np.sqrt(self.mu / self.semi_major_axis**3)
+        begun = np.rint((self.true_anomaly - begin) / turn)
+        return np.asarray(wrapped + turn * (begun + np.rint((mean - wrapped) / turn)))
+
     def _values(self, t: Array, y: Array) -> dict[str, Array]:
         """Values of the blocks from the integrated states y (N, 19)."""
-        R_oi, w_oi_o = rtn_axes(y)
+        r_i, (R_oi, w_oi_o) = y[:, 0:3], rtn_axes(y)
+        radius = np.linalg.norm(r_i, axis=1)
+        r_p = r_i @ self._to_perigee()
         r_tc_o = np.einsum("nij,nj->ni", R_oi, y[:, 6:9])
         R_it = dense.stacked((so3.from_quaternion(q) for q in y[:, 12:16]), 3, 3)
         R_ic0 = self.initial_R_io(mu=self.mu) @ so3.exp(self.chaser_attitude.copy())
@@ -224,6 +247,10 @@ class RigidBodyPair(OrbitElements):
             "target_rate": y[:, 16:19].copy(),
             "chaser_rate": np.tile(self.chaser_rate, (len(t), 1)),
             "inertia_parameters": np.tile(inertia_parameters, (len(t), 1)),
+            "orbit_radius": radius[:, None],
+            "orbit_radial_rate": ((r_i * y[:, 3:6]).sum(axis=1) / radius)[:, None],
+            "orbit_angle": self._unwrapped(t, np.arctan2(r_p[:, 1], r_p[:, 0]))[:, None],
+            "orbit_angular_rate": w_oi_o[:, 2:].copy(),
         }
 
 
