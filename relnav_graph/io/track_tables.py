@@ -80,7 +80,7 @@ def _add(tables: dict[str, dict[str, Array]], name: str, track: Track) -> None:
 
 def _columns(track: Track, blocks: Iterable[Block]) -> dict[str, Array]:
     """Components of blocks, and their sigmas, (N,) each."""
-    columns = {}
+    columns = dict[str, Array]()
     for block in blocks:
         columns |= block_columns(
             block.name, block, track.value(block.name), track.covariance(block.name)

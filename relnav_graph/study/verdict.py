@@ -209,5 +209,6 @@ def _closing(
         )
     return (
         f"No declared noise explains it: the residuals of {best} are as declared, and its"
-        f" covariances true. What is wrong is the linearisation of {', '.join(wrong)}."
+        f" covariances true. What is wrong is the linearisation of {', '.join(wrong)}, or"
+        " what it leaves out of the model."
     )

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import draw_block
 from example_makers import BEACONS, MOUNTED, gyro_model
 from passes import EXPERIMENTS
 from relnav_factors.dynamics.body_velocity import BodyVelocity
@@ -20,6 +19,7 @@ from relnav_graph.core.catalogue import (
     RELATIVE_POSITION_T,
     RELATIVE_VELOCITY_T,
 )
+from relnav_graph.core.conformance.draws import draw_block
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track

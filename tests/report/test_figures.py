@@ -183,11 +183,12 @@ def test_nees_and_nis_stand_in_strips_with_their_bands() -> None:
     np.testing.assert_allclose(drawn, 0.5)  # three of six components are one sigma off
     np.testing.assert_allclose(np.asarray(figure.axes[1].lines[0].get_ydata()), 1)
     for ax, freedoms in zip(figure.axes, (6, 2), strict=True):
-        inside = ax.collections[-1].get_paths()[0].vertices[:, 1]
-        np.testing.assert_allclose((inside.min(), inside.max()), chi2_band(freedoms))
+        inside = np.asarray(ax.collections[-1].get_paths()[0].vertices, dtype=np.float64)[:, 1]
+        band = np.array([inside.min(), inside.max()])
+        np.testing.assert_allclose(band, np.array(chi2_band(freedoms)))
     assert residual_figure([ekf]) is None
     (ax,) = residual_figure([heard]).axes  # type: ignore[union-attr]
-    assert len(ax.lines[0].get_xdata()) == 2 * N
+    assert np.asarray(ax.lines[0].get_xdata()).size == 2 * N
     assert consistency_figure([ekf], None, []) is None
 
 
