@@ -154,4 +154,6 @@ def test_what_a_filter_linearises_badly_is_not_blamed_on_a_noise() -> None:
     found = _verdict((), 1, 3, ("ekf", "batch"))
     assert found["causes"] == []
     assert found["states"]["ekf"]["relative_position"]["verdict"] == "optimistic"
-    assert found["text"][-1].endswith("What is wrong is the linearisation of ekf.")
+    assert found["text"][-1].endswith(
+        "What is wrong is the linearisation of ekf, or what it leaves out of the model."
+    )
