@@ -152,7 +152,8 @@ def _ticks(ax: Axes, look: Look) -> None:
     formatter = ScalarFormatter(useMathText=False)  # which would be parsed for each number
     formatter.set_powerlimits((-3, 5))
     ax.yaxis.set_major_formatter(formatter)
-    ax.yaxis.get_offset_text().set_fontsize(6)
+    offset = ax.yaxis.get_offset_text()  # a power of ten: left of the panel, clear of its title
+    offset.set(fontsize=6, ha="right", x=-0.012)
 
 
 def logarithmic(ax: Axes) -> None:
