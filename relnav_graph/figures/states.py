@@ -37,7 +37,7 @@ from relnav_graph.maths import so3
 from relnav_graph.scoring.agreement import REFERENCES
 from relnav_graph.scoring.deviations import StateEstimates, errors, estimates
 
-__all__ = ["MANY", "error_figures"]
+__all__ = ["MANY", "error_figures", "sigmas_of"]
 
 #: Part of the pass in which a filter may still converge, and how far limits then follow
 #: excursions, in usual sizes (medians).
@@ -73,7 +73,7 @@ class _Line:
         return finite_peak(3 * self.sigma[:, axis] if self.e is None else self.e[:, axis])
 
 
-def _sigmas(block: Block, P: Array) -> Array:
+def sigmas_of(block: Block, P: Array) -> Array:
     """Sigmas (N, dim) in table units; NaN where P is no covariance."""
     variance = np.diagonal(P, axis1=1, axis2=2)
     return np.asarray(block.table_scale * np.sqrt(np.where(variance >= 0, variance, np.nan)))
@@ -91,7 +91,7 @@ def _lines(
             t, P, e, scale = track.t, x.P, None, x.block.table_scale
             if state in known and len(known[state].t):
                 t, P, e = known[state].t, known[state].P, scale * known[state].e
-            sigma = _sigmas(x.block, P)
+            sigma = sigmas_of(x.block, P)
             line = _Line(name, track, x.block, styles[name], t, sigma, e, x.constant, x)
             lines.setdefault(state, []).append(line)
     return lines

@@ -152,8 +152,8 @@ def _ticks(ax: Axes, look: Look) -> None:
     formatter = ScalarFormatter(useMathText=False)  # which would be parsed for each number
     formatter.set_powerlimits((-3, 5))
     ax.yaxis.set_major_formatter(formatter)
-    offset = ax.yaxis.get_offset_text()  # a power of ten: left of the panel, clear of its title
-    offset.set(fontsize=6, ha="right", x=-0.012)
+    offset = ax.yaxis.get_offset_text()  # a power of ten: clear of numbers and the title
+    offset.set(fontsize=6, ha="right", x=-0.28 / (look.width - _LEFT - _RIGHT))
 
 
 def logarithmic(ax: Axes) -> None:
