@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import resource
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from relnav_graph.errors import InputError
 
-__all__ = ["check_room"]
+__all__ = ["check_room", "uncollected"]
 
 #: Where Linux says how much memory a container may use.
 _CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
@@ -37,3 +39,16 @@ def check_room(found: str, numbers: float) -> None:
             f"found {found}, which take at least {needed / 2**30:.3g} GiB of memory; this machine"
             f" has {there / 2**30:.3g} GiB"
         )
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """No search for cycles of objects that nobody needs: what makes objects by the hundred
+    thousand, all of which it keeps, such as drawing, would set it off all the time."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.contracts import Derived
+from relnav_graph.core.scored import InAxes
 from relnav_graph.core.track import Innovations, Track, Truth
 from relnav_graph.figures.style import (
     PAGE,
@@ -78,7 +79,8 @@ def joint_nees(
     true = track.truth or truth
     if true is None:
         return None
-    e, P = joint(errors(track, true, derived).values(), track, track.layout)
+    instead = [quantity for quantity in derived if isinstance(quantity, InAxes)]
+    e, P = joint(errors(track, true, instead).values(), track, track.layout)
     if len(e) != len(track.t) or not len(e):
         return None
     value, rank = nees(e, P)

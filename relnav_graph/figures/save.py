@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import matplotlib as mpl
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -18,6 +18,7 @@ from relnav_graph.figures.maps import map_figure
 from relnav_graph.figures.states import error_figures
 from relnav_graph.figures.style import COLUMN, PAGE, STYLE, Look
 from relnav_graph.figures.trajectory import trajectory_figure
+from relnav_graph.figures.twice import Drawn
 
 __all__ = ["pass_figures", "png", "save_figures", "save_pass"]
 
@@ -29,26 +30,35 @@ _COLOURS = 128
 _COMPRESSION = 4
 
 
-def png(figure: Figure, transparent: bool = False, dpi: int = _DPI) -> bytes:
-    """A figure as a PNG image with a palette."""
-    before, patch = figure.dpi, figure.patch.get_alpha()
-    if transparent:
-        figure.patch.set_alpha(0.0)
+@contextmanager
+def _drawn(figure: Figure, dpi: int = _DPI) -> Iterator[Drawn]:
+    """The figure as it is drawn at so many dots per inch, which hold as long as it is used."""
+    before = figure.dpi
     figure.set_dpi(dpi)
     try:
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()  # type: ignore[no-untyped-call]
-        size = canvas.get_width_height()
-        buffer = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
-        picture = Image.frombuffer("RGBA", size, buffer, "raw", "RGBA", 0, 1)
-        few = (picture if transparent else picture.convert("RGB")).quantize(
-            _COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
-        )
-        out = io.BytesIO()
-        few.save(out, "PNG", compress_level=_COMPRESSION, dpi=(dpi, dpi))
+        yield Drawn(figure)
     finally:
         figure.set_dpi(before)
+
+
+def png(figure: Figure, transparent: bool = False, dpi: int = _DPI) -> bytes:
+    """A figure as a PNG image with a palette."""
+    patch = figure.patch.get_alpha()
+    if transparent:
+        figure.patch.set_alpha(0.0)
+    try:
+        with _drawn(figure, dpi) as drawn:
+            return _packed(drawn, transparent)
+    finally:
         figure.patch.set_alpha(patch)
+
+
+def _packed(drawn: Drawn, transparent: bool = False) -> bytes:
+    picture, out = drawn.image(), io.BytesIO()
+    few = (picture if transparent else picture.convert("RGB")).quantize(
+        _COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+    )
+    few.save(out, "PNG", compress_level=_COMPRESSION, dpi=(drawn.dpi, drawn.dpi))
     return out.getvalue()
 
 
@@ -57,6 +67,16 @@ def _vector(figure: Figure, suffix: str) -> bytes:
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
     figure.savefig(out, format=suffix, dpi=_DPI, metadata=metadata)
     return out.getvalue()
+
+
+def _files(figure: Figure, formats: Collection[str]) -> dict[str, bytes]:
+    """The files of a figure by their formats; image and SVG are drawn at once."""
+    if not {"png", "svg"} & set(formats):
+        return {suffix: _vector(figure, suffix) for suffix in formats}
+    with _drawn(figure) as drawn:
+        made = {"png": _packed, **({"svg": Drawn.svg} if drawn.whole else {})}
+        found = {suffix: made[suffix](drawn) for suffix in formats if suffix in made}
+    return found | {f: _vector(figure, f) for f in formats if f not in found}
 
 
 def save_figures(
@@ -70,9 +90,9 @@ def save_figures(
     Path(folder).mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
         for name, figure in figures.items():
-            for suffix in formats:
+            for suffix, content in _files(figure, formats).items():
                 path = Path(folder) / f"{name}.{suffix}"
-                path.write_bytes(png(figure) if suffix == "png" else _vector(figure, suffix))
+                path.write_bytes(content)
                 paths.append(path)
     return paths
 

@@ -23,11 +23,13 @@ from relnav_graph.figures.style import (
     Look,
     chosen_rows,
     component,
+    curve,
     finish,
     finite_peak,
     note_beyond,
     panels,
     row_styles,
+    shade,
     symbol,
     three_sigma,
 )
@@ -35,7 +37,7 @@ from relnav_graph.maths import so3
 from relnav_graph.scoring.agreement import REFERENCES
 from relnav_graph.scoring.deviations import StateEstimates, errors, estimates
 
-__all__ = ["MANY", "error_figures"]
+__all__ = ["MANY", "error_figures", "sigmas_of"]
 
 #: Part of the pass in which a filter may still converge, and how far limits then follow
 #: excursions, in usual sizes (medians).
@@ -71,7 +73,7 @@ class _Line:
         return finite_peak(3 * self.sigma[:, axis] if self.e is None else self.e[:, axis])
 
 
-def _sigmas(block: Block, P: Array) -> Array:
+def sigmas_of(block: Block, P: Array) -> Array:
     """Sigmas (N, dim) in table units; NaN where P is no covariance."""
     variance = np.diagonal(P, axis1=1, axis2=2)
     return np.asarray(block.table_scale * np.sqrt(np.where(variance >= 0, variance, np.nan)))
@@ -89,7 +91,7 @@ def _lines(
             t, P, e, scale = track.t, x.P, None, x.block.table_scale
             if state in known and len(known[state].t):
                 t, P, e = known[state].t, known[state].P, scale * known[state].e
-            sigma = _sigmas(x.block, P)
+            sigma = sigmas_of(x.block, P)
             line = _Line(name, track, x.block, styles[name], t, sigma, e, x.constant, x)
             lines.setdefault(state, []).append(line)
     return lines
@@ -110,20 +112,19 @@ def _limit(lines: Sequence[_Line], axis: int) -> float:
 def _draw_band(ax: Axes, line: _Line, axis: int, about: Array | float, among: int) -> None:
     """Three sigmas on both sides of `about`, shaded and bounded."""
     band = 3 * line.sigma[:, axis]
-    shade = 0.26 / max(2, among)  # many bands must not add up to mud
+    faint = 0.26 / max(2, among)  # many bands must not add up to mud
     colour, low, high = line.style["color"], about - band, about + band
-    filled = ax.fill_between(line.t, low, high, color=colour, alpha=shade, linewidth=0)
-    filled.set_rasterized(len(line.t) > MANY)
-    edge = {**line.style, "linewidth": 0.5, "zorder": 2}
-    ax.plot(line.t, low, **edge)
-    ax.plot(line.t, high, **edge)
+    many = {"rasterized": True} if len(line.t) > MANY else {}
+    shade(ax, line.t, low, high, facecolor=colour, alpha=faint, linewidth=0, **many)
+    edges = np.r_[low, np.nan, high]
+    curve(ax, np.r_[line.t, np.nan, line.t], edges, **{**line.style, "linewidth": 0.5, "zorder": 2})
 
 
 def _draw_errors(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
     for line in lines:
         _draw_band(ax, line, axis, 0.0, len(lines))
         if line.e is not None:
-            ax.plot(line.t, line.e[:, axis], **line.style)
+            curve(ax, line.t, line.e[:, axis], **line.style)
     limit = _limit(lines, axis)
     ax.set_ylim(-limit, limit)
     ax.axhline(0, color="0.4", linewidth=0.5, zorder=1.5)
@@ -180,7 +181,7 @@ def _draw_quaternion(ax: Axes, lines: Sequence[_Line]) -> None:
     for line in lines:
         q = quaternions(line.estimate.value)
         for k, colour in enumerate(_QUATERNION):
-            ax.plot(line.t, q[:, k], **{**line.style, "color": colour})
+            curve(ax, line.t, q[:, k], **{**line.style, "color": colour})
     ax.set_ylim(-1.05, 1.05)
     ax.set_ylabel("quaternion")
     for k, (name, colour) in enumerate(zip("wxyz", _QUATERNION, strict=True)):
@@ -197,7 +198,7 @@ def _draw_estimates(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
     for line in lines:
         value = line.block.table_scale * line.estimate.value[:, axis]
         _draw_band(ax, line, axis, value, len(lines))
-        ax.plot(line.t, value, **line.style)
+        curve(ax, line.t, value, **line.style)
     _limit_estimates(ax, [x for x in lines if x.track.status != "diverged"] or lines, axis)
 
 
@@ -213,7 +214,10 @@ def _limit_estimates(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
     if shown.size:
         low, high = float(shown.min()), float(shown.max())
         room = max(0.08 * (high - low), 4 * float(sigmas.min(initial=np.inf)))
-        if np.isfinite(room) and 1e-12 * max(abs(low), abs(high)) < room < 1e150:
+        most = max(abs(low), abs(high))
+        if not 1e-12 * most < room < np.inf:  # a constant without a sigma
+            room = 0.1 * most or 1.0
+        if most + room < 1e150:
             ax.set_ylim(low - room, high + room)
 
 
@@ -225,7 +229,7 @@ def _draw_differences(ax: Axes, lines: Sequence[_Line], axis: int, reference: _L
     for line in lines:
         away[line.name] = scale * reference.estimate.to(line.estimate.value)[:, axis]
         _draw_band(ax, line, axis, away[line.name], len(lines))
-        ax.plot(line.t, away[line.name], **line.style)
+        curve(ax, line.t, away[line.name], **line.style)
         late = line.t >= line.t[0] + _TRANSIENT * np.ptp(line.t)
         reach = np.abs(away[line.name]) + 3 * line.sigma[:, axis]
         reach = np.nan_to_num(reach[late], posinf=0.0)

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, ScalarFormatter
 
@@ -32,12 +34,14 @@ __all__ = [
     "Look",
     "chosen_rows",
     "component",
+    "curve",
     "finish",
     "finite_peak",
     "logarithmic",
     "note_beyond",
     "panels",
     "row_styles",
+    "shade",
     "symbol",
     "three_sigma",
 ]
@@ -61,6 +65,8 @@ STYLE: dict[Any, Any] = {
     "grid.color": "0.92",
     "grid.linewidth": 0.5,
     "xtick.major.size": 2.5,
+    "xtick.labelsize": 7,  # here, and not by `tick_params`, which makes every tick anew
+    "ytick.labelsize": 7,
     "ytick.left": False,  # the grid tells where it is
     "pdf.fonttype": 42,  # texts that journals accept, and that can be searched
     "svg.hashsalt": "relnav-graph",  # the same figure gives the same file
@@ -146,8 +152,8 @@ def _ticks(ax: Axes, look: Look) -> None:
     formatter = ScalarFormatter(useMathText=False)  # which would be parsed for each number
     formatter.set_powerlimits((-3, 5))
     ax.yaxis.set_major_formatter(formatter)
-    ax.yaxis.get_offset_text().set_fontsize(6)
-    ax.tick_params(labelsize=7)
+    offset = ax.yaxis.get_offset_text()  # a power of ten: clear of numbers and the title
+    offset.set(fontsize=6, ha="right", x=-0.28 / (look.width - _LEFT - _RIGHT))
 
 
 def logarithmic(ax: Axes) -> None:
@@ -200,6 +206,26 @@ def panels(
     return figure, axes
 
 
+def curve(ax: Axes, x: Array, y: Array, **style: Any) -> Line2D:
+    """A line in a panel whose limits are set: `Axes.plot` looks for them, for each line."""
+    line = Line2D(x, y, **style)
+    ax.add_artist(line)
+    return line
+
+
+def shade(ax: Axes, t: Array, low: Array, high: Array, **look: Any) -> PolyCollection:
+    """The area between two lines, (N,) each, where both are finite; of a panel as in `curve`."""
+    known = np.isfinite(low) & np.isfinite(high)
+    ends = np.flatnonzero(np.diff(known, prepend=False, append=False))
+    pieces = [slice(a, b) for a, b in zip(ends[::2], ends[1::2], strict=True)]
+    outlines = [
+        np.column_stack([np.r_[t[p], t[p][::-1]], np.r_[low[p], high[p][::-1]]]) for p in pieces
+    ]
+    area = PolyCollection(outlines, **look)
+    ax.add_artist(area)
+    return area
+
+
 def finish(axes: Sequence[Axes], t: Array) -> None:
     """The time axis of panels, of times t (N,), s: its limits and name, and its grid in those
     panels that have no ticks of their own."""
@@ -210,9 +236,8 @@ def finish(axes: Sequence[Axes], t: Array) -> None:
     for ax in axes[:-1]:
         x = np.repeat(ticks, 3)
         y = np.tile([0.0, 1.0, np.nan], len(ticks))
-        across = ax.get_xaxis_transform()
-        (grid,) = ax.plot(x, y, color="0.92", linewidth=0.5, zorder=0.5, transform=across)
-        grid.set_gid("grid")
+        look: dict[str, Any] = {"color": "0.92", "linewidth": 0.5, "zorder": 0.5, "gid": "grid"}
+        curve(ax, x, y, transform=ax.get_xaxis_transform(), **look)
 
 
 def three_sigma() -> Patch:

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.catalogue import RELATIVE_POSITION
 from relnav_graph.core.contracts import Derived
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.figures.style import (
@@ -45,15 +46,16 @@ def trajectory_figure(
     has the position.
     """
     rows, paths, block = chosen_rows(tracks, draw), list[tuple[Array, Mapping[str, Any]]](), None
+    derived = [quantity for quantity in derived if quantity.block.name == RELATIVE_POSITION.name]
     for name, style in row_styles({n: track.kind for n, track in rows.items()}).items():
-        estimate = estimates(rows[name], derived).get("relative_position")
+        estimate = estimates(rows[name], derived).get(RELATIVE_POSITION.name)
         if estimate is not None and finite(estimate.value).any():
             block = estimate.block
             paths.append((estimate.value, style))
     if block is None:
         return None
-    if truth is not None and "relative_position" in truth.values:
-        true = truth.values["relative_position"]
+    if truth is not None and RELATIVE_POSITION.name in truth.values:
+        true = truth.values[RELATIVE_POSITION.name]
         paths.insert(0, (true, {"label": "truth", "color": "black", "linewidth": 1.8}))
     with mpl.rc_context(STYLE):
         figure, axes = _planes(look, len(paths))
@@ -88,7 +90,6 @@ def _planes(look: Look, paths: int) -> tuple[Figure, list[Axes]]:
         ax = figure.add_axes((left / look.width, bottom / high, width, side / high))
         ax.xaxis.set_major_locator(MaxNLocator(4))
         ax.yaxis.set_major_locator(MaxNLocator(4))
-        ax.tick_params(labelsize=7)
         axes.append(ax)
     return figure, axes
 

@@ -203,11 +203,19 @@ def _scene_caption(scene: Scene) -> str:
     target = f"The target ({turns if scene.turning else 'fixed in this frame'})"
     errors = (
         f"Estimates of {' and '.join(scene.rows)} are shown as the true path plus their errors,"
-        f" {times(scene.error_scale)}, with their 3-sigma ellipsoids likewise: where the true"
-        " path runs through an ellipsoid, the error is within 3 sigma."
+        f" {times(scene.error_scale)}, with the 3-sigma ellipsoid at the slider's time likewise:"
+        " where the square lies in it, the error is within 3 sigma."
         if scene.true
         else f"The 3-sigma ellipsoids of {' and '.join(scene.rows)} are {times(scene.error_scale)}."
     )
+    if scene.angle_scale is not None:
+        about = "where they lie in them, the error of the attitude is" if scene.true else "that is"
+        errors += (
+            " The cones about the target's axes are where estimates have them, angles"
+            f" {times(scene.angle_scale)}: {about} within 3 sigma."
+        )
+    if scene.strip:
+        errors += " Below: NEES per freedom with its 95 % band, and a mark at the slider's time."
     points = ""
     if scene.map_scale is not None:
         row = scene.rows[-1]
@@ -219,7 +227,7 @@ def _scene_caption(scene: Scene) -> str:
     return (
         f"Frame {scene.frame}. {target} is {times(scene.target_scale)};"
         " red, green and blue are its axes x, y, z, from the origin. The square is the chaser."
-        f" {errors}{points} Ellipsoids of the first tenth of the pass are left out. Drag to turn,"
+        f" {errors}{points} What is too large to be drawn, at first, is left out. Drag to turn,"
         " scroll to zoom; the slider moves time."
     )
 

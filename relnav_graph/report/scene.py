@@ -4,7 +4,7 @@ it, and where the estimates say it is."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -20,19 +20,32 @@ from relnav_graph.core.catalogue import (
 )
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.figures import row_styles
+from relnav_graph.report.bodies import ellipsoids, extent, xyz
 from relnav_graph.report.contents import PassContents
+from relnav_graph.report.moments import (
+    Attitude,
+    Moving,
+    attitude_of,
+    cone,
+    ellipsoid,
+    mark,
+    strip,
+    translucent,
+    with_strip,
+)
 from relnav_graph.scoring.deviations import StateEstimates, estimates, finite
 from relnav_graph.scoring.maps import family_scores, known_points
 from relnav_graph.scoring.metrics import with_smoothed
 
 __all__ = ["Scene", "make_scene"]
 
-#: Most points of a path, ellipsoids of a row, and moments that the slider steps through.
-_POINTS, _ELLIPSOIDS, _FRAMES = 600, 14, 60
-#: Part of the pass whose ellipsoids are left out: filters still converge.
+#: Most points of a path, and moments that the slider steps through.
+_POINTS, _FRAMES = 600, 60
+#: Part of the pass that does not set the size of ellipsoids and cones: filters still converge.
 _TRANSIENT = 0.1
-#: Sizes of target and largest ellipsoid as fractions of the view; they are enlarged up to them.
-_TARGET_PART, _ELLIPSOID_PART = 0.12, 0.07
+#: Sizes of target and usual ellipsoid as fractions of the view, half the angle of the usual cone,
+#: rad: they are enlarged up to them. Lengths of axes and cones as fractions of the target.
+_TARGET_PART, _ELLIPSOID_PART, _CONE, _AXIS, _BEYOND = 0.12, 0.07, 0.2, 0.8, 1.3
 #: Size of the middle one of the ellipsoids of a map, as a fraction of the target, and the most
 #: vertices of all of them: they are in every frame.
 _POINT_PART, _VERTICES = 0.08, 1600
@@ -48,7 +61,8 @@ class Scene:
     frame: letter of the frame; turning: whether the target turns in it; true: whether the path
     and attitude are the truth; target_scale, error_scale: factors by which target and errors
     are enlarged; rows: the tracks shown; map_scale: factor by which errors of the target's points
-    are, where they are estimated.
+    are, where they are estimated; angle_scale: factor by which errors of the attitude are, where
+    it is estimated; strip: whether there is one of NEES.
     """
 
     figure: Mapping[str, Any]
@@ -59,6 +73,8 @@ class Scene:
     error_scale: float
     rows: Sequence[str]
     map_scale: float | None = None
+    angle_scale: float | None = None
+    strip: bool = False
 
 
 def _nice(scale: float) -> float:
@@ -128,7 +144,7 @@ def _cloud(content: PassContents, row: str, target_scale: float, reach: float) -
     scale = max(scale, target_scale)
     centres = target_scale * (X + off) - scale * off
     n = next((n for n in (8, 6, 5, 4) if 2 * n * n * len(X) <= _VERTICES), 3)
-    mesh = _ellipsoids(centres, each, scale, n)
+    mesh = ellipsoids(centres, each, scale, n)
     vertices, faces = (np.column_stack([mesh[c] for c in names]) for names in ("xyz", "ijk"))
     kinds = {name: track.kind for name, track in rows.items()}
     return _Cloud(vertices, faces, row_styles(kinds)[row]["color"], scale)
@@ -165,10 +181,6 @@ _FACES = np.array([(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5,
                    (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)])  # fmt: skip
 
 
-def _xyz(points: Array) -> dict[str, Array]:
-    return dict(zip("xyz", np.ascontiguousarray(points.T), strict=True))
-
-
 def _target(
     R: Array, box: Array, points: Array | None, cloud: _Cloud | None, reach: float
 ) -> list[dict[str, Array]]:
@@ -177,29 +189,7 @@ def _target(
     shown = points if points is not None else np.zeros((0, 3))
     axes = [np.vstack([np.zeros(3), reach * e]) for e in np.eye(3)]
     ellipsoids = [] if cloud is None else [cloud.vertices]
-    return [_xyz(part @ R.T) for part in (box, shown, *axes, *ellipsoids)]
-
-
-def _sphere(n: int = 10) -> tuple[Array, Indices]:
-    """Unit vectors (m, 3) and triangles of a sphere."""
-    u, v = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n), indexing="ij")
-    grid = np.stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)], axis=-1)
-    a = (np.arange(n - 1)[:, None] * 2 * n + np.arange(2 * n - 1)).ravel()
-    faces = np.vstack([np.column_stack([a, a + 1, a + 2 * n]),
-                       np.column_stack([a + 1, a + 2 * n + 1, a + 2 * n])])  # fmt: skip
-    return grid.reshape(-1, 3), faces
-
-
-def _ellipsoids(centres: Array, P: Array, scale: float, n: int = 10) -> dict[str, Any]:
-    """One mesh of the ellipsoids |P^-1/2 d| = 3 `scale` about centres (k, 3); P (k, 3, 3), SI; each
-    of n parallels."""
-    sphere, faces = _sphere(n)
-    w, V = np.linalg.eigh(P)
-    half = V * (3 * scale * np.sqrt(np.maximum(w, 0)))[:, None, :]
-    vertices = centres[:, None, :] + np.einsum("mj,kij->kmi", sphere, half)
-    all_faces = (faces + len(sphere) * np.arange(len(P))[:, None, None]).reshape(-1, 3)
-    ijk = dict(zip("ijk", np.ascontiguousarray(all_faces.T), strict=True))
-    return {**_xyz(vertices.reshape(-1, 3)), **ijk}
+    return [xyz(part @ R.T) for part in (box, shown, *axes, *ellipsoids)]
 
 
 def _view(path: Array, target: Array) -> tuple[Array, float]:
@@ -237,18 +227,39 @@ def make_scene(content: PassContents) -> Scene | None:
     half = _view(path, np.zeros((1, 3)))[1]
     target_scale = _nice(_TARGET_PART * half / (np.ptp(box, axis=0).max() / 2))
     centre, half = _view(path, target_scale * corners)
-    k = np.linspace(_TRANSIENT * (len(path) - 1), len(path) - 1, _ELLIPSOIDS).round().astype(int)
-    widest = max(3 * np.sqrt(np.linalg.eigvalsh(s.P[k]).max()) for s in rows.values())
-    error_scale = _nice(_ELLIPSOID_PART * 2 * half / widest) if widest > 0 else 1.0
+    late = slice(int(_TRANSIENT * (len(path) - 1)), None)
+    usual = max(float(np.median(extent(s.P[late]))) for s in rows.values())
+    error_scale = _nice(_ELLIPSOID_PART * 2 * half / usual) if usual > 0 else 1.0
     reach = target_scale * float(np.ptp(box, axis=0).max())
     cloud = _cloud(content, last, target_scale, reach)
-    moving = (R, target_scale * box, None if points is None else target_scale * points, cloud)
     t = content.tracks[0].t
-    data, frames = _moving(t, path, *moving)
-    data += _paths(content, rows, path, true is not None, error_scale, np.unique(k))
-    figure = {"data": data, "layout": _layout(t, block.frame[-1], centre, half, _eye(path), frames)}
+    drawn = {
+        name: path + error_scale * (state.value - path) if true is not None else state.value
+        for name, state in rows.items()
+    }
+    turned = _attitudes(content, rows) if block == RELATIVE_POSITION else {}
+    usual = max((float(np.median(extent(a.P[late]))) for a in turned.values()), default=0.0)
+    angle_scale = _nice(_CONE / usual) if usual > 0 else 1.0
+    styles = row_styles({n: track.kind for n, track in with_smoothed(content.tracks).items()})
+    moving = list[Moving]()
+    for name, state in rows.items():
+        look = translucent(name, styles[name])
+        moving.append(ellipsoid(drawn[name], state.P, error_scale, half, look))
+        if name in turned:
+            moving.append(cone(turned[name], angle_scale, _BEYOND * reach, look))
+    tracks = {name: with_smoothed(content.tracks)[name] for name in rows}
+    below = strip(tracks, content.truth, content.scenario.derived, styles)
+    if below is not None:
+        moving.append(mark(t, below[1]["yaxis"]))
+    big = None if points is None else target_scale * points
+    data, frames = _moving(t, path, R, target_scale * box, big, cloud, moving)
+    data += _paths(rows, path, true is not None, drawn, styles)
+    layout = _layout(t, block.frame[-1], centre, half, _eye(path), frames)
+    if below is not None:
+        data += below[0]
+        layout = with_strip(layout, below[1])
     return Scene(
-        figure | {"frames": frames},
+        {"data": data, "layout": layout, "frames": frames},
         block.frame[-1],
         turning,
         true is not None,
@@ -256,14 +267,29 @@ def make_scene(content: PassContents) -> Scene | None:
         error_scale,
         list(rows),
         None if cloud is None else cloud.scale,
+        angle_scale if turned else None,
+        below is not None,
     )
 
 
+def _attitudes(content: PassContents, rows: Iterable[str]) -> dict[str, Attitude]:
+    """The attitude of the target as those rows have it that estimate it."""
+    true = _known(content, TARGET_ATTITUDE.name)
+    found = {n: attitude_of(with_smoothed(content.tracks)[n], true) for n in rows}
+    return {name: one for name, one in found.items() if one is not None}
+
+
 def _moving(
-    t: Array, path: Array, R: Array, box: Array, points: Array | None, cloud: _Cloud | None
+    t: Array,
+    path: Array,
+    R: Array,
+    box: Array,
+    points: Array | None,
+    cloud: _Cloud | None,
+    more: Sequence[Moving],
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Traces of what moves, at the first epoch, and their coordinates over time."""
-    reach = 0.8 * float(np.ptp(box, axis=0).max())
+    reach = _AXIS * float(np.ptp(box, axis=0).max())
     ijk = dict(zip("ijk", np.ascontiguousarray(_FACES.T), strict=True))
     quiet: dict[str, Any] = {"hoverinfo": "skip", "showlegend": False}
     grey: dict[str, Any] = {"color": "#8a8f98", "opacity": 0.55, "flatshading": True}
@@ -274,18 +300,25 @@ def _moving(
         {"type": "scatter3d", **dots, **quiet},
         *({**line, "line": {"color": c, "width": 5}} for c in _AXES),
         *([] if cloud is None else [_look(cloud) | quiet]),
+        *(dict(one.look) for one in more),
         {"type": "scatter3d", "mode": "markers", "name": "chaser", "hoverinfo": "name",
-         "marker": {"size": 5, "color": "black", "symbol": "square"}},
+         "marker": {"size": 3, "color": "black", "symbol": "square"}},
     ]  # fmt: skip
     moments = np.unique(np.linspace(0, len(path) - 1, _FRAMES).round().astype(int))
     kinds, frames = [look["type"] for look in looks], list[dict[str, Any]]()
     for m in moments.tolist():
-        parts = [*_target(R[m], box, points, cloud, reach), _xyz(path[m : m + 1])]
+        parts = _target(R[m], box, points, cloud, reach)
+        parts += [*(one.at(m) for one in more), xyz(path[m : m + 1])]
         data = [{"type": kind, **part} for kind, part in zip(kinds, parts, strict=True)]
         name = f"{t[m]:.6g}"
         frames.append({"name": name, "data": data, "traces": list(range(len(data)))})
-    first = frames[0]["data"]
+    first = frames[_begin(frames)]["data"]
     return [look | part for look, part in zip(looks, first, strict=True)], frames
+
+
+def _begin(frames: Sequence[Any]) -> int:
+    """The moment that is shown first: halfway, when filters have converged."""
+    return len(frames) // 2
 
 
 def _look(cloud: _Cloud) -> dict[str, Any]:
@@ -294,28 +327,21 @@ def _look(cloud: _Cloud) -> dict[str, Any]:
 
 
 def _paths(
-    content: PassContents,
-    rows: Mapping[str, StateEstimates],
+    rows: Iterable[str],
     path: Array,
     true: bool,
-    scale: float,
-    k: Indices,
+    drawn: Mapping[str, Array],
+    styles: Mapping[str, Mapping[str, Any]],
 ) -> list[dict[str, Any]]:
-    """The true path, and the estimates with their ellipsoids, errors drawn larger."""
-    kinds = {n: track.kind for n, track in with_smoothed(content.tracks).items()}
-    styles, step = row_styles(kinds), -(-len(path) // _POINTS)
-    out: list[dict[str, Any]] = []
+    """The true path, and those of the estimates as they are drawn."""
+    step, out = -(-len(path) // _POINTS), list[dict[str, Any]]()
     if true:
         black: dict[str, Any] = {"line": {"color": "black", "width": 4}, "name": "true path"}
-        out.append({"type": "scatter3d", "mode": "lines", **_xyz(path[::step]), **black})
-    for name, state in rows.items():
-        drawn = path + scale * (state.value - path) if true else state.value
+        out.append({"type": "scatter3d", "mode": "lines", **xyz(path[::step]), **black})
+    for name in rows:
         group: dict[str, Any] = {"name": styles[name]["label"], "legendgroup": name}
-        colour = styles[name]["color"]
-        thin: dict[str, Any] = {"line": {"color": colour, "width": 3}, "mode": "lines"}
-        out.append({"type": "scatter3d", **_xyz(drawn[::step]), **thin, **group})
-        mesh = {"color": colour, "opacity": 0.25, "hoverinfo": "skip", "showlegend": False}
-        out.append({"type": "mesh3d", **_ellipsoids(drawn[k], state.P[k], scale), **mesh, **group})
+        thin = {"line": {"color": styles[name]["color"], "width": 3}, "mode": "lines"}
+        out.append({"type": "scatter3d", **xyz(drawn[name][::step]), **thin, **group})
     return out
 
 
@@ -352,8 +378,9 @@ def _layout(
     bottom = {"y": 0, "yanchor": "top", "pad": {"t": 24}}
     menu = {"type": "buttons", "direction": "left", "x": 0, "xanchor": "left", "buttons": buttons}
     now = {"prefix": "t = ", "suffix": " s", "font": {"size": 12, "color": "#222"}}
-    slider = {"x": 0.18, "len": 0.8, "steps": steps, "currentvalue": now, "ticklen": 0,
-              "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}  # fmt: skip
+    slider = {"x": 0.18, "len": 0.8, "active": _begin(frames), "steps": steps,
+              "currentvalue": now, "ticklen": 0, "minorticklen": 0,
+              "font": {"size": 1, "color": "rgba(0,0,0,0)"}}  # fmt: skip
     return {
         "height": 640,
         "margin": {"l": 0, "r": 0, "t": 48, "b": 8},

@@ -13,6 +13,7 @@ from relnav_graph.io.left_out import write_left_out
 from relnav_graph.io.manifest import PassManifest
 from relnav_graph.io.maps import write_map
 from relnav_graph.io.results import cautions_out, write_results
+from relnav_graph.memory import uncollected
 from relnav_graph.runs.comparison import Comparison
 from relnav_graph.runs.passes import Pass
 from relnav_graph.scoring.metrics import with_smoothed
@@ -35,6 +36,7 @@ class Drawing:
     formats: tuple[str, ...] = ("svg", "png")
 
 
+@uncollected()
 def write_outputs(
     out: Path, opened: Pass, found: Comparison, command: str = "", drawing: Drawing = Drawing()
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import matplotlib as mpl
@@ -13,7 +12,8 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track, Truth
 from relnav_graph.errors import InputError
-from relnav_graph.figures import STYLE, WIDTH
+from relnav_graph.figures import STYLE, WIDTH, png
+from relnav_graph.figures.states import sigmas_of
 from relnav_graph.io.exports import states_of
 from relnav_graph.maths import dense, so3
 from relnav_graph.scoring.deviations import StateEstimates, errors
@@ -28,9 +28,7 @@ class _Drawing(Figure):
     """A figure that a notebook shows, with pyplot or without."""
 
     def _repr_png_(self) -> bytes:
-        content = io.BytesIO()
-        self.savefig(content, format="png", dpi=80)
-        return content.getvalue()
+        return png(self, dpi=80)
 
 
 def _angles(R: Array) -> Array:
@@ -49,8 +47,7 @@ def _of_estimate(state: StateEstimates) -> tuple[Array, Array]:
     """What is drawn of a state, and its sigma, (N, dim), in table units."""
     block, scale = state.block, state.block.table_scale
     value = _angles(state.value) if block.manifold == "SO3" else state.value
-    variance = np.diagonal(state.P, axis1=1, axis2=2)
-    return scale * value, scale * np.sqrt(np.where(variance >= 0, variance, np.nan))
+    return scale * value, sigmas_of(block, state.P)
 
 
 def _chosen(track: Track, names: Sequence[str] | None) -> dict[str, StateEstimates]:

@@ -83,12 +83,13 @@ def test_a_control_error_has_no_sigma() -> None:
 def test_drawn_are_errors_and_three_sigma_in_table_units() -> None:
     pair, truth = tracks()
     ax = error_figures(pair[:1], truth, [])["relative_position"].axes[0]
-    low, high, error = (np.asarray(line.get_ydata()) for line in ax.lines[:3])
+    edges, error = (np.asarray(line.get_ydata()) for line in ax.lines[:2])
+    low, high = edges[:N], edges[N + 1 :]
     np.testing.assert_allclose(high, 3 * np.sqrt(pair[0].P[:, 0, 0]))
     np.testing.assert_allclose(low, -high)
     np.testing.assert_allclose(error, truth.values["relative_position"][:, 0] - pair[0].x[:, 0])
     attitude = error_figures(pair[:1], truth, [])["target_attitude"].axes[0]
-    degrees = np.asarray(attitude.lines[1].get_ydata())
+    degrees = np.asarray(attitude.lines[0].get_ydata())[N + 1 :]
     np.testing.assert_allclose(degrees, np.degrees(high))
 
 
@@ -139,10 +140,10 @@ def test_without_truth_estimates_and_how_far_they_are_apart() -> None:
     figure, attitude = figures["relative_position"], figures["target_attitude"]
     assert "estimate" in figure.axes[0].get_title("left")
     assert [ax.get_ylabel() for ax in figure.axes[2:4]] == ["$z_{o}$ [m]", "Δ$x_{o}$ [m]"]
-    low, high, value = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines[:3])
+    edges, value = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines[:2])
     np.testing.assert_allclose(value, pair[0].x[:, 0])
-    np.testing.assert_allclose(high - low, 6 * np.sqrt(pair[0].P[:, 0, 0]))
-    away, same = (np.asarray(figure.axes[3].lines[k].get_ydata()) for k in (2, 5))
+    np.testing.assert_allclose(edges[N + 1 :] - edges[:N], 6 * np.sqrt(pair[0].P[:, 0, 0]))
+    away, same = (np.asarray(figure.axes[3].lines[k].get_ydata()) for k in (1, 3))
     np.testing.assert_allclose(away, pair[0].x[:, 0] - pair[1].x[:, 0], atol=1e-12)
     assert not same.any()  # the smoother, less itself
     assert texts(figure)[-1] == "off scale: ekf to 10"
@@ -236,6 +237,13 @@ def test_trajectory_without_truth_or_without_position() -> None:
     assert trajectory_figure([blind], None) is None
 
 
+def _width(svg: str) -> tuple[float, float]:
+    """Of an SVG in points, and in its own units."""
+    head = re.search(r'width="([\d.]+)pt".*viewBox="0 0 ([\d.]+)', svg)
+    assert head is not None
+    return float(head[1]), float(head[2])
+
+
 def test_files_are_the_same_byte_for_byte(tmp_path: Path) -> None:
     layout, t = Layout([INERTIA]), np.arange(5.0)
     track = Track("a", "smoothed", layout, t, np.ones((5, 2)), np.tile(np.eye(2), (5, 1, 1)))
@@ -246,6 +254,10 @@ def test_files_are_the_same_byte_for_byte(tmp_path: Path) -> None:
         return {path.name: path.read_bytes() for path in paths}
 
     first = write(tmp_path / "deep" / "first")
+    svg = first["inertia_parameters.svg"].decode()
+    (points, dots), found = _width(svg), re.findall(r"stroke-width: ([\d.]+)", svg)
+    assert points == 504
+    assert {0.5, 1.2} <= {round(float(width) * points / dots, 2) for width in found}
     assert set(first) == {"inertia_parameters.svg", "inertia_parameters.png"}
     assert first == write(tmp_path / "second")
     assert b"<dc:date>" not in first["inertia_parameters.svg"]

@@ -82,7 +82,7 @@ def test_a_broken_filter_does_not_crush_the_figure() -> None:
 
 def content(truth: Truth | None) -> Any:
     """Of a report, as far as the scene reads it."""
-    scenario = SimpleNamespace(layout=Layout(LAYOUT.moving), sensors={})
+    scenario = SimpleNamespace(derived=[], layout=Layout(LAYOUT.moving), sensors={})
     return SimpleNamespace(scenario=scenario, tracks=[filtered(), smoothed()], truth=truth)
 
 
@@ -90,7 +90,8 @@ def test_the_scene_has_an_ellipsoid_at_each_point() -> None:
     scene = make_scene(content(truth_of_map()))
     assert scene is not None
     assert scene.map_scale is not None
-    grey, dots, *_, cloud, _ = scene.figure["frames"][0]["data"]
+    grey, dots, *_ = scene.figure["frames"][0]["data"]
+    cloud = scene.figure["frames"][0]["data"][5]  # after the three axes
     assert len(dots["x"]) == 6  # all that truth knows
     vertices = np.column_stack([cloud[a] for a in "xyz"]).reshape(5, -1, 3)
     track, scale = smoothed(), scene.map_scale
@@ -103,7 +104,7 @@ def test_the_scene_has_an_ellipsoid_at_each_point() -> None:
         np.testing.assert_allclose(np.sqrt(size), 3 * scale, rtol=1e-6)
     assert len(grey["x"]) == 8
     # It turns with the target.
-    last = scene.figure["frames"][-1]["data"][-2]
+    last = scene.figure["frames"][-1]["data"][5]
     R = truth_of_map().values["target_attitude"][-1]
     turned = np.column_stack([last[a] for a in "xyz"])
     np.testing.assert_allclose(turned, vertices.reshape(-1, 3) @ R.T, atol=1e-9)

@@ -262,6 +262,16 @@ def test_the_scene_shows_the_true_pass(one_pass: Path) -> None:
     assert len(frames) == 12
     chaser = [[f["data"][-1][a][0] for a in "xyz"] for f in frames]
     np.testing.assert_allclose(chaser, content.truth.values["relative_position"])
+    # Below: the mark in the strip of NEES, and the ellipsoid of batch about its enlarged error.
+    assert scene.strip
+    assert [f["data"][-2]["x"][0] for f in frames] == content.truth.t.tolist()
+    batch = next(track for track in content.tracks if track.name == "batch")
+    error = batch.value("relative_position") - content.truth.values["relative_position"]
+    for k, frame in enumerate(frames):
+        centre = np.array(chaser[k]) + scene.error_scale * error[k]
+        d = np.column_stack([frame["data"][7][a] for a in "xyz"]) - centre
+        inside = np.linalg.solve(batch.covariance("relative_position")[k], d.T).T
+        np.testing.assert_allclose((d * inside).sum(axis=1), 9 * scene.error_scale**2, rtol=1e-6)
     # The blue axis is the third column of R_ot.
     axis = np.array([[f["data"][4][a][1] for a in "xyz"] for f in frames])
     axis /= np.linalg.norm(axis, axis=1)[:, None]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from relnav_graph.report import cells
-from relnav_graph.report import scene as scenes
+from relnav_graph.maths import so3
+from relnav_graph.report import bodies, cells
 from relnav_graph.report.embed import encode
 from relnav_graph.report.page import Gallery
 from relnav_graph.report.zoom import zoomable
@@ -69,13 +69,32 @@ def test_ellipsoids_are_three_sigma_about_their_centres() -> None:
     rng = np.random.default_rng(0)
     A = rng.normal(size=(2, 3, 3))
     P, centres = A @ A.transpose(0, 2, 1), rng.normal(size=(2, 3))
-    mesh = scenes._ellipsoids(centres, P, 10.0)
+    mesh = bodies.ellipsoids(centres, P, 10.0)
     vertices = np.column_stack([mesh[a] for a in "xyz"]).reshape(2, -1, 3)
     d = (vertices - centres[:, None]) / 10
     square = np.einsum("kmi,kij,kmj->km", d, np.linalg.inv(P), d)
     np.testing.assert_allclose(square, 9)
     faces = np.column_stack([mesh[a] for a in "ijk"])
     assert faces.max() == vertices.shape[0] * vertices.shape[1] - 1
+
+
+def test_cones_hold_the_axes_within_three_sigma() -> None:
+    rng = np.random.default_rng(1)
+    A, R, sigma = rng.normal(size=(3, 3)), so3.exp(rng.normal(size=3)), 1e-4
+    P = sigma**2 * (A @ A.T)
+    mesh = bodies.cones(R, P, 10.0, 2.0)
+    vertices = np.column_stack([mesh[a] for a in "xyz"]) @ R / 2.0
+    for axis, rim in enumerate(np.split(vertices[1:], 3)):
+        e, L = np.eye(3)[axis], np.linalg.cholesky(P)
+        # Turned by errors of up to three sigmas, the axis comes as far as the rim, and no farther.
+        turns = rng.normal(size=(4000, 3))
+        turns = 30 * turns / np.linalg.norm(turns, axis=1)[:, None] @ L.T
+        turned = np.array([np.cross(turn, e) for turn in turns])
+        for direction in np.delete(np.eye(3), axis, axis=0):
+            farthest = (turned @ direction).max()
+            assert ((rim - e) @ direction).max() == pytest.approx(farthest, rel=0.04)
+    faces = np.column_stack([mesh[a] for a in "ijk"])
+    assert (faces.min(), faces.max()) == (0, len(vertices) - 1)
 
 
 @pytest.mark.parametrize(
