@@ -45,7 +45,9 @@ def stored_innovations(where: str, group: Group) -> dict[str, Innovations]:
         whole = counts.ndim == 1 and counts.shape == t.shape and bool((counts >= 0).all())
         whole = whole and not (counts % 1).any() and rows.values.shape == (counts.sum(),)
         if not whole:
-            raise InputError(f"{where}/{key}: damaged: found rows, times and counts that do not fit")
+            raise InputError(
+                f"{where}/{key}: damaged: found rows, times and counts that do not fit"
+            )
         offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         found[name] = Innovations(t, rows.values, offsets)
     return found
