@@ -10,7 +10,10 @@ HERE = Path(__file__).parent
 for folder in (HERE / "_ext", HERE.parent / "factors", HERE.parent):
     sys.path.insert(0, str(folder))
 # The kernels of notebooks find the same sources, wherever the package is installed from.
-os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), str(HERE.parent / "factors")])
+before = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(HERE.parent), str(HERE.parent / "factors"), *filter(None, before)]
+)
 
 from relnav_graph.constants import VERSION  # noqa: E402
 
@@ -30,7 +33,7 @@ extensions = [
 exclude_patterns = ["_build", "jupyter_execute", "explanation/validation_table.md"]
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 default_role = "code"
-nitpicky = False
+smartquotes = False  # formulas and options have their own dashes and quotes
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3

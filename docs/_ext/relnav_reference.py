@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -81,6 +81,8 @@ def _section(title: str, mark: str) -> list[str]:
 def _table(header: list[str], rows: list[list[str]], widths: str = "auto") -> list[str]:
     if not rows:
         return []
+    if not any(row[2] for row in rows):  # nothing is said of any
+        header, rows = [header[0], header[1], *header[3:]], [[*r[:2], *r[3:]] for r in rows]
     out = [".. list-table::", "   :header-rows: 1", f"   :widths: {widths}", ""]
     for row in [header, *rows]:
         cells = [cell.replace("\n", " ") or " " for cell in row]
@@ -88,11 +90,16 @@ def _table(header: list[str], rows: list[list[str]], widths: str = "auto") -> li
     return [*out, ""]
 
 
-def _shape(quantity: Quantity) -> str:
-    if not quantity.shape:
-        return "one number"
-    size = " x ".join("n" if n is None else str(n) for n in quantity.shape)
-    return f"{size} numbers" + (", or one for all" if quantity.fill else "")
+def _numbers(quantity: Quantity) -> str:
+    sign = "positive " if quantity.positive else ""
+    many = " x ".join("n" if n is None else str(n) for n in quantity.shape)
+    said = f"{many} {sign}numbers" if many else f"one {sign}number"
+    said += " that are not negative" if quantity.nonnegative and many else ""
+    said += ", not negative" if quantity.nonnegative and not many else ""
+    return said + (", or one for all" if quantity.fill and many else "")
+
+
+_PLAIN = {"str": "text", "bool": "true or false", "int": "whole number", "float": "number"}
 
 
 def _type(hint: Any) -> str:
@@ -101,22 +108,26 @@ def _type(hint: Any) -> str:
     if hasattr(hint, "__metadata__"):
         return _type(hint.__origin__)
     name = getattr(hint, "__name__", "") if get_origin(hint) is None else str(hint)
-    return "``" + re.sub(r"\b(\w+\.)+", "", name or str(hint)) + "``"
+    short = re.sub(r"\b([A-Za-z_]\w*\.)+", "", name or str(hint))
+    return _PLAIN.get(short, f"``{short}``")
 
 
 def _what(cls: type, name: str) -> str:
     known = quantities(cls).get(name)
     if known is None:
         return _type(get_type_hints(cls, include_extras=True)[name])
-    sign = "positive " if known.positive else "not negative, " if known.nonnegative else ""
     words = "".join(f', or ``"{word}"``' for word in known.words)
     unit = "" if known.unit == "1" else f", {_escaped(known.unit)}"
-    return sign + _shape(known) + unit + words
+    return _numbers(known) + unit + words
+
+
+def _literal(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else repr(value)
 
 
 def _default(field: dataclasses.Field[Any]) -> str:
     if field.default is not dataclasses.MISSING:
-        return "none" if field.default is None else f"``{field.default!r}``"
+        return "none" if field.default is None else f"``{_literal(field.default)}``"
     if field.default_factory is not dataclasses.MISSING:
         made = field.default_factory()
         return f"``{getattr(made, 'tolist', lambda: made)()!r}``"
@@ -202,15 +213,40 @@ def _said(schema: dict[str, Any], defs: dict[str, Any]) -> str:
     return names.get(str(kind), str(kind) if kind else "anything")
 
 
-def _rows(properties: dict[str, Any], defs: dict[str, Any]) -> list[list[str]]:
+#: What stands at the top of a scenario file; the schema says of it what it may be.
+TOP = {
+    "title": "a line, with the name of the scenario before a colon",
+    "description": "what it is, and where its numbers are from",
+    "base": "the scenario, or scenarios, that this one changes; later ones win",
+    "seed": "root of all random numbers",
+    "estimators": "those that ``relnav compare`` runs, where none is named",
+    "evaluate": "the part of the pass that is scored, as fractions or times",
+    "time": "step, epochs, absolute time",
+    "data": "recorded data, and how they are read",
+    "online": "the window of what runs online",
+    "orbit": "of the target; the chaser's own where it is estimated",
+    "truth": "what is true in a simulated pass, ``statics`` and ``map`` of recorded ones, too",
+    "truth_noise": "one sigma of a truth that was measured",
+    "score": "axes in which vectors are compared, blocks that are left out",
+    "control": "the controller of a loop",
+    "inputs": "instruments, such as a gyro, by name: how they are simulated",
+    "gaps": "how gaps of an input are bridged, by its name",
+    "stamps": "lag and jitter of clocks, by name of an input or a sensor",
+    "processes": "how states go on, by name: any of the processes",
+    "sensors": "what is measured, by name: any of the sensors, with gate, loss, period",
+    "prior": "what is known beforehand, by the name of a state",
+}
+
+
+def _rows(
+    properties: dict[str, Any], defs: dict[str, Any], about: Mapping[str, str]
+) -> list[list[str]]:
     rows = []
     for name, schema in properties.items():
-        about = " ".join(prose(schema.get("description", "")))
+        what = about.get(name) or " ".join(prose(schema.get("description", "")))
         default = schema.get("default")
         plain = isinstance(default, (int, float, str)) and default != ""
-        rows.append(
-            [f"``{name}``", _said(schema, defs), f"``{default!r}``" if plain else "", about]
-        )
+        rows.append([f"``{name}``", _said(schema, defs), what, f"``{default!r}``" if plain else ""])
     return rows
 
 
@@ -219,13 +255,15 @@ def _scenario_file() -> list[str]:
 
     schema = json_schema()
     defs = schema["$defs"]
-    header = ["key", "type", "default", "what"]
+    header = ["key", "type", "what", "default"]
     out = [*_section("Tables of a scenario file", "="), *prose(schema["description"])]
-    out += [*_section("Top level", "-"), *_table(header, _rows(schema["properties"], defs))]
+    if missing := set(schema["properties"]) - set(TOP):
+        raise KeyError(f"{missing}: no word on these keys in TOP")
+    out += [*_section("Top level", "-"), *_table(header, _rows(schema["properties"], defs, TOP))]
     for name, one in defs.items():
         if "properties" in one:
             out += [*_section(name, "-"), *prose(one.get("description", ""))]
-            out += _table(header, _rows(one["properties"], defs))
+            out += _table(header, _rows(one["properties"], defs, {}))
     return out
 
 
@@ -252,8 +290,26 @@ def as_prose(app: Any, what: str, name: str, obj: Any, options: Any, lines: list
     lines[:] = prose("\n".join(lines))
 
 
+def short_types(
+    app: Any,
+    what: str,
+    name: str,
+    obj: Any,
+    options: Any,
+    signature: str | None,
+    returned: str | None,
+) -> tuple[str | None, str | None]:
+    """Signatures without the modules of types."""
+
+    def short(text: str | None) -> str | None:
+        return text and re.sub(r"~?\b(?:[A-Za-z_]\w*\.)+", "", text.replace("<factory>", "..."))
+
+    return (short(signature) or "").replace("~", "") or signature, short(returned)
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Take part in a build."""
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", as_prose)
+    app.connect("autodoc-process-signature", short_types)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
