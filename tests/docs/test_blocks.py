@@ -2,7 +2,8 @@
 
 Python blocks of a page share their names, in order, as a reader would type them. Commands `relnav`
 run at reduced size, those of a pipe in processes of their own. A block that cannot run says why in
-a comment before it, ``<!-- not run: why -->``; one of TOML is read.
+a comment before it, ``<!-- not run: why -->``; one of TOML is read, and written where it says so,
+``<!-- file: my.toml -->``.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [p for p in PAGES if not {"_build", "generated"} & set(p.parts)]
 #: Fence, language, body, with the comment that may stand before.
 _BLOCK = re.compile(
-    r"(?:<!-- not run: (?P<why>[^>]+?) -->\n)?^```(?P<language>[^\n`]*)\n(?P<body>.*?)^```$",
+    r"(?:<!-- not run: (?P<why>[^>]+?) -->\n|<!-- file: (?P<file>[^>]+?) -->\n)?"
+    r"^```(?P<language>[^\n`]*)\n(?P<body>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
 RUN = {"python", "console", "bash", "toml"}
@@ -38,13 +40,14 @@ ELSEWHERE = ("pip ", "python ", "ruff ", "mypy", "lint-imports", "pytest", "sphi
 
 @dataclass(frozen=True)
 class Block:
-    """A block of code, where it begins, and why it is not run."""
+    """A block of code, where it begins, why it is not run, and the file that it is."""
 
     page: Path
     line: int
     language: str
     body: str
     why: str | None
+    file: str | None = None
 
     def __str__(self) -> str:
         return f"{self.page.relative_to(ROOT)}:{self.line}"
@@ -59,6 +62,7 @@ def blocks(page: Path) -> list[Block]:
             m["language"].strip(),
             m["body"],
             m["why"],
+            m["file"],
         )
         for m in _BLOCK.finditer(text)
     ]
@@ -91,7 +95,7 @@ def shortened(words: list[str]) -> list[str]:
         words += [] if "-e" in words else ["-e", "iekf", "-e", "batch"]
     if words[1] in ("compare", "smooth") and "--figures" not in words:
         words = [*words, "--figures", "none"]
-    recorded = words[1] == "smooth"  # of a data set that a shortened command has written
+    recorded = words[1] == "smooth" or "--data" in words  # as many epochs as the data have
     return words if recorded else [*words, "--set", f"time.epochs={EPOCHS}"]
 
 
@@ -155,6 +159,8 @@ def test_blocks_of_a_page_run(
         try:
             if block.language == "toml":
                 tomllib.loads(block.body)
+                if block.file is not None:
+                    Path(block.file).write_text(block.body, "utf-8")
             elif block.language != "python":
                 run_console(block)
             elif not _is_notebook(page):
