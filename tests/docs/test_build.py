@@ -87,3 +87,17 @@ def test_the_reference_has_every_model_and_estimator(pages: Path) -> None:
     for group in ("models", "estimators", "truths"):
         for kind in classes(f"relnav_graph.{group}"):
             assert f'<span class="pre">{kind}</span>' in text, kind
+
+
+def test_every_format_and_command_is_named() -> None:
+    from relnav_graph.cli.main import COMMANDS
+    from relnav_graph.io import readers, writers
+    from relnav_graph.registry import modules
+
+    page = (DOCS / "howto" / "formats.md").read_text("utf-8")
+    for group, own in (("readers", readers), ("writers", writers)):
+        for name in modules(f"relnav_graph.{group}", own.__name__):
+            assert f"`{name}`" in page, name
+    text = "".join(one.read_text("utf-8") for one in DOCS.rglob("*.md"))
+    for command in COMMANDS:
+        assert f"relnav {command}" in text, command
