@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from independent import filterpy_kalman_apart, filterpy_ukf_apart, vector_models, wide_toy
 from passes import (
     EXPERIMENTS,
-    FIX,
-    PRIOR,
-    RANGER,
     beyond_digits,
     differences,
     linear_problem,
@@ -25,7 +23,6 @@ from static_tracks import drifting_pass
 from textbook_ukf import TextbookUkf
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.problem import Problem
 from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.online.driver import online
@@ -59,48 +56,16 @@ def test_on_a_linear_pass_it_is_the_kalman_filter(
         np.testing.assert_allclose(track.innovations[name].v, found.v, atol=1e-7)
 
 
-def _models(problem: Problem, k: int) -> tuple[Any, Array, Any, Array, Array]:
-    """f, Q, h, z, R of the interval to epoch k of the toy and of what was measured there."""
-    epoch = problem.epochs[k]
-    f, Q = None, np.zeros((7, 7))
-    if k:
-        dt = epoch.t - problem.epochs[k - 1].t
-        (motion, electronics) = problem.processes.values()
-        u = np.array([[dt]])
-
-        def f(x: Array, dt: float = dt) -> Array:
-            r, v = motion.transition(0.0, u, x[:3], x[3:6])[0]
-            (drift,) = electronics.transition(0.0, u, x[6:])[0]
-            return np.concatenate([r, v, drift])
-
-        Q[:6, :6] = motion.transition(0.0, u, PRIOR.x[:3], PRIOR.x[3:6])[2]
-        Q[6:, 6:] = electronics.transition(0.0, u, PRIOR.x[6:])[2]
-    fix, ranges = epoch.measurements
-
-    def h(x: Array) -> Array:
-        return np.concatenate([x[:3], np.linalg.norm(x[:3] - RANGER.points, axis=1) + x[6]])
-
-    R = np.zeros((6, 6))
-    R[:3, :3], R[3:, 3:] = FIX.covariance, RANGER.sigma**2 * np.eye(3)
-    return f, Q, h, np.concatenate([fix.z[0], ranges.z[:, 0]]), R
-
-
-def _wide() -> Problem:
-    """The toy with a prior so wide that the ranges are far from linear."""
-    prior = replace(PRIOR, P=np.diag([25.0] * 3 + [1.0] * 3 + [1.0]))
-    return toy_problem(toy_measurements(), prior=prior)
-
-
 @pytest.mark.parametrize("spread", SPREADS[:3])
 def test_it_is_the_textbooks_on_a_nonlinear_pass(spread: tuple[float, float, float]) -> None:
     """With the same points, drawn anew after the prediction, and the same weights."""
-    problem = _wide()
+    problem = wide_toy()
     track = replace(Ukf(), alpha=spread[0], beta=spread[1], kappa=spread[2]).run(problem)
     ekf = run_estimator("ekf", problem)
     one = TextbookUkf(problem.prior.x, problem.prior.P, *spread)
     apart = 0.0
     for k in range(len(problem.epochs)):
-        f, Q, h, z, R = _models(problem, k)
+        f, Q, h, z, R = vector_models(problem, k)
         if f is not None:
             one.predict(f, Q)
         one.update(h, z, R)
@@ -112,21 +77,13 @@ def test_it_is_the_textbooks_on_a_nonlinear_pass(spread: tuple[float, float, flo
 
 
 def test_it_is_filterpys_on_a_nonlinear_pass() -> None:
-    filterpy = pytest.importorskip("filterpy.kalman", reason="needs the extra dev")
-    problem, n = _wide(), 7
-    points = filterpy.MerweScaledSigmaPoints(n, 0.3, 2.0, 0.0)
-    _, _, h, _, R = _models(problem, 0)
-    one = filterpy.UnscentedKalmanFilter(n, 6, 1.0, h, None, points)
-    one.x, one.P, one.R = problem.prior.x.copy(), problem.prior.P.copy(), R
-    track = Ukf().run(problem)
-    for k in range(len(problem.epochs)):
-        f, Q, _, z, _ = _models(problem, k)
-        one.Q = Q
-        one.predict(fx=f if f is not None else lambda x, dt: x)
-        one.update(z)
-        sigma = np.sqrt(np.diag(one.P))
-        np.testing.assert_allclose(track.x[k], one.x, rtol=0, atol=1e-6 * sigma.min())
-        np.testing.assert_allclose(track.P[k], one.P, rtol=1e-6, atol=1e-6 * sigma.min() ** 2)
+    pytest.importorskip("filterpy.kalman", reason="needs the extra dev")
+    assert max(filterpy_ukf_apart()) < 1e-6
+
+
+def test_a_linear_filter_and_smoother_are_filterpys() -> None:
+    pytest.importorskip("filterpy.kalman", reason="needs the extra dev")
+    assert max(filterpy_kalman_apart()) < 1e-7
 
 
 def test_weights_are_those_of_the_scaled_transformation() -> None:

@@ -190,6 +190,21 @@ def test_paper_figures_are_drawn(paper: str, figures: int, tmp_path: Path) -> No
     assert [one.number for one in script.PAPERS["thienel2006"]] == [str(k) for k in range(1, 9)]
 
 
+def test_validation_keeps_its_tolerances(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    pytest.importorskip("filterpy.kalman", reason="needs the extra dev")
+    pytest.importorskip("ccsds_ndm", reason="needs the extra dev")
+    script, file = _script("validation"), tmp_path / "table.md"
+    rows = script.main(epochs=20, file=file)
+    assert len(rows) == 15
+    assert [row.what for row in rows if not row.good] == []
+    assert not script.Row("", "", float("nan"), 1.0, "").good
+    printed = capsys.readouterr().out
+    assert file.read_text("utf-8").startswith(printed)
+    assert "| GTSAM 4." in printed
+
+
 def test_every_script_is_run_here() -> None:
     here = Path(__file__).read_text("utf-8")
     for path in EXPERIMENTS.glob("*.py"):

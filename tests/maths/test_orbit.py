@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import factorial
-from typing import Any
 
 import numpy as np
 import pytest
+from independent import ORBITS, integrate, integrated_two_body, length, start
 from scipy.integrate import solve_ivp
 
 from relnav_graph.arrays import Array
@@ -23,35 +22,9 @@ from relnav_graph.maths.orbit import (
     two_body,
 )
 
-ORBITS = {
-    "circular": KeplerOrbit(7.0e6, 0.0, 0.4),
-    "near circular": KeplerOrbit(7.0e6, 1e-9, 2.0),
-    "low": KeplerOrbit(7.2e6, 0.05, 0.3),
-    "highly eccentric": KeplerOrbit(4.0e7, 0.83, -2.4),
-    "hyperbolic": KeplerOrbit(-2.0e7, 1.4, -1.0),
-}
 CLOSED = [name for name in ORBITS if name != "hyperbolic"]
 #: Typical size of (r, v) in m and m/s, so that blocks of a transition compare as numbers.
 SCALE = np.array([7e6] * 3 + [7e3] * 3)
-
-
-def integrate(f: Callable[[float, Array], Any], t0: float, t1: float, y0: Array) -> Array:
-    y = solve_ivp(f, (t0, t1), y0, "DOP853", rtol=1e-13, atol=1e-13 * np.abs(y0).max())
-    return np.asarray(y.y[:, -1])
-
-
-def start(orbit: KeplerOrbit, tilted: bool = True) -> tuple[Array, Array]:
-    """Position and velocity at t = 0, in a plane that is no coordinate plane."""
-    p, e, nu, mu, _ = orbit.array()
-    r = p / (1 + e * np.cos(nu)) * np.array([np.cos(nu), np.sin(nu), 0])
-    v = np.sqrt(mu / p) * np.array([-np.sin(nu), e + np.cos(nu), 0])
-    turn, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
-    turn *= np.linalg.det(turn)
-    return (turn @ r, turn @ v) if tilted else (r, v)
-
-
-def length(v: Any) -> float:
-    return float(np.linalg.norm(v))
 
 
 def scaled(phi: Array) -> Array:
@@ -90,11 +63,7 @@ def test_stumpff_does_not_jump_where_the_method_changes(z: float) -> None:
 @pytest.mark.parametrize("dt", [-4000.0, 0.0, 1e-3, 10.0, 5000.0])
 def test_two_body_agrees_with_integration(name: str, dt: float) -> None:
     r0, v0 = start(ORBITS[name])
-
-    def gravity(t: float, y: Array) -> Array:
-        return np.concatenate([y[3:], -MU_EARTH * y[:3] / length(y[:3]) ** 3])
-
-    want = integrate(gravity, 0, dt, np.concatenate([r0, v0])) if dt else np.array([*r0, *v0])
+    want = integrated_two_body(r0, v0, dt)
     r, v, _ = two_body(r0, v0, MU_EARTH, dt)
     np.testing.assert_allclose(r, want[:3], rtol=0, atol=2e-11 * length(want[:3]))
     np.testing.assert_allclose(v, want[3:], rtol=0, atol=2e-11 * length(want[3:]))

@@ -7,43 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from independent import FIELD, PLACES, brahe_gravity_apart, pull, sphere
 from relnav_factors.dynamics.orbit_two_body import OrbitTwoBody
 from relnav_factors.dynamics.relative_two_body import RelativeTwoBody
 from relnav_factors.shared.earth import earth_numbers, earth_pull
 from relnav_factors.shared.gravity import earth_field, zonal_gravity
-from relnav_factors.shared.harmonics import harmonic_pull, harmonic_table
 
-from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_THIRD
 from relnav_graph.core.absolute_time import AbsoluteTime
 from relnav_graph.errors import GeometryError, InputError
 from relnav_graph.maths.earth import third_body, turns
-from relnav_graph.maths.geopotential import geopotential
 from relnav_graph.sim.truths.earth_gravity import TurningEarth, pines_gravity
 
 CLOCK = AbsoluteTime("2021-07-17T00:00:00 TT")
-FIELD = geopotential()
-#: Low, high, at the equator, near both poles, at one of them.
-PLACES = np.array(
-    [
-        [3e6, -4e6, 4.5e6],
-        [6.5e6, 1e3, 0.0],
-        [2e7, 3e7, -1e7],
-        [1e-3, 2e-3, 6.8e6],
-        [-40.0, 3.0, -6.6e6],
-        [0.0, 0.0, 6.8e6],
-    ]
-)
-
-
-def pull(r: Array, degree: int, order: int) -> tuple[Array, Array]:
-    """Of the harmonics alone, in Earth-fixed axes."""
-    table = harmonic_table(*FIELD.upto(degree, order))
-    return harmonic_pull(*table, FIELD.gm, FIELD.radius, r)
-
-
-def sphere(r: Array) -> Array:
-    return -FIELD.gm * r / float(np.linalg.norm(r)) ** 3
 
 
 @pytest.mark.parametrize(("degree", "order"), [(2, 0), (2, 2), (6, 0), (20, 5), (20, 20), (60, 60)])
@@ -56,23 +32,8 @@ def test_both_formulations_agree_and_at_the_poles_too(degree: int, order: int) -
         np.testing.assert_allclose(g, want - sphere(r), rtol=1e-12, atol=1e-13)
 
 
-# python -c "import brahe, numpy as np
-# M = brahe.GravityModel.from_model_type(brahe.GravityModelType.EGM2008_120)
-# for r in ([3e6, -4e6, 4.5e6], [1e-3, 2e-3, 6.8e6]):
-#     for n in (20, 60): print(M.compute_spherical_harmonics(np.array(r), n, n).tolist())"
-# (brahe 1.8.0, which sums after Clenshaw)
-@pytest.mark.parametrize(
-    ("place", "degree", "want"),
-    [
-        (0, 20, [-3.9212868666170193, 5.228754691439182, -5.899229625114874]),
-        (0, 60, [-3.921265112600321, 5.228782674475694, -5.899217217514326]),
-        (3, 20, [9.765165296709321e-05, -2.6190746245157887e-05, -8.595790737568143]),
-        (3, 60, [9.930045441398673e-05, -2.3682675270589535e-05, -8.595777865391343]),
-    ],
-)
-def test_an_independent_library_gives_the_same(place: int, degree: int, want: list[float]) -> None:
-    r = PLACES[place]
-    np.testing.assert_allclose(sphere(r) + pull(r, degree, degree)[0], want, rtol=0, atol=5e-14)
+def test_an_independent_library_gives_the_same() -> None:
+    assert brahe_gravity_apart() < 5e-14
 
 
 @pytest.mark.parametrize("degree", [2, 3, 4])

@@ -7,24 +7,19 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from independent import far, levenberg_marquardt
 from passes import EXPERIMENTS, linear_problem, sigmas, spoilt_toy, toy_measurements, toy_problem
 from relnav_factors.dynamics.white_noise_acceleration import WhiteNoiseAcceleration
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.problem import Prior, Problem
-from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.linear.gtsam_factors import measurement_factor, prior_factor, process_factor
 from relnav_graph.maths.losses import Loss
-from relnav_graph.runs.graph import Graph, gauss_newton, reweigh, to_gtsam, to_track
+from relnav_graph.runs.graph import gauss_newton, reweigh, to_gtsam, to_track
 from relnav_graph.scenario.build import load_scenario
-
-
-def _far(a: Track, b: Track) -> float:
-    """Largest difference of two tracks, in sigmas of the second."""
-    return float(np.abs(b.layout.local(b.x, a.x) / sigmas(b.P)).max())
 
 
 def _close(epochs: int) -> Problem:
@@ -32,21 +27,11 @@ def _close(epochs: int) -> Problem:
     return scenario.problem(scenario.simulate(0), 0)
 
 
-def levenberg_marquardt(graph: Graph) -> gtsam.Values:
-    """As its documentation has it, but for QR."""
-    params = gtsam.LevenbergMarquardtParams()
-    params.setLinearSolverType("MULTIFRONTAL_QR")
-    params.setRelativeErrorTol(0.0)
-    params.setAbsoluteErrorTol(1e-10)
-    params.setMaxIterations(8)  # then it only tries what rounding allows
-    return gtsam.LevenbergMarquardtOptimizer(graph.factors, graph.values, params).optimize()
-
-
 def test_gtsams_optimiser_comes_to_the_optimum_of_batch() -> None:
     problem = _close(300)
     batch, graph = run_estimator("batch", problem), to_gtsam(problem)
     track = to_track(problem, graph, levenberg_marquardt(graph))
-    assert _far(track, batch) < 1e-6
+    assert far(track, batch) < 1e-6
     scale = sigmas(batch.P)
     np.testing.assert_allclose(
         track.P / (scale[:, :, None] * scale[:, None]),
@@ -66,7 +51,7 @@ def test_gauss_newton_from_the_prior_and_correlated_priors(density: float) -> No
     graph = to_gtsam(problem, x)
     track = to_track(problem, graph, gauss_newton(graph))
     batch = run_estimator("batch", problem)
-    assert _far(track, batch) < 1e-6
+    assert far(track, batch) < 1e-6
     np.testing.assert_allclose(track.P, batch.P, rtol=1e-6, atol=1e-9)
 
 
@@ -86,9 +71,9 @@ def test_losses_by_reweighting_are_those_of_batch(kind: str) -> None:
     graph, values, weights = reweigh(problem)
     batch = run_estimator("batch", problem)
     assert (weights < 1).sum() >= 5
-    assert _far(to_track(problem, graph, values), batch) < 1e-2
+    assert far(to_track(problem, graph, values), batch) < 1e-2
     plain = run_estimator("batch", replace(problem, losses={}))
-    assert _far(plain, batch) > 0.5
+    assert far(plain, batch) > 0.5
 
 
 def test_gates_by_reweighting_are_those_of_batch() -> None:
@@ -96,7 +81,7 @@ def test_gates_by_reweighting_are_those_of_batch() -> None:
     graph, values, weights = reweigh(problem)
     batch = run_estimator("batch", problem)
     assert (weights == 0).sum() == batch.rejected["fix"] == 5
-    assert _far(to_track(problem, graph, values), batch) < 1e-2
+    assert far(to_track(problem, graph, values), batch) < 1e-2
 
 
 @pytest.mark.parametrize("kind", ["huber", "cauchy", "student_t"])
@@ -106,7 +91,7 @@ def test_losses_are_gtsams_robust_noise_of_each_observation(kind: str) -> None:
     graph = to_gtsam(problem)
     assert graph.factors.size() == len(problem.layout) + 29 * 2 + 30 * (1 + 3)
     track = to_track(problem, graph, levenberg_marquardt(graph))
-    assert _far(track, run_estimator("batch", problem)) < 1e-2
+    assert far(track, run_estimator("batch", problem)) < 1e-2
 
 
 def _fix(count: int) -> Measurement:
