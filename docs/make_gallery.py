@@ -62,6 +62,7 @@ GROUPS = {
             "zhang2015_stress",
             "zhang2015_static",
             "zhang2015_known_inertia",
+            "zhang2015_orbit",
         ),
         ("iekf", "batch"),
         ("relative_attitude", "consistency"),
