@@ -145,17 +145,20 @@ def _split(words: list[str]) -> list[list[str]]:
     return parts
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def _to_run(page: Path) -> list[Block]:
+    return [block for block in blocks(page) if block.language in RUN and block.why is None]
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if _to_run(p)], ids=lambda p: str(p.relative_to(ROOT))
+)
 def test_blocks_of_a_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = [block for block in blocks(page) if block.language in RUN and block.why is None]
-    if not found:
-        pytest.skip("no block of code")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "experiments").symlink_to(ROOT / "experiments")
     names: dict[str, Any] = {"__name__": "page"}
-    for block in found:
+    for block in _to_run(page):
         try:
             if block.language == "toml":
                 tomllib.loads(block.body)
