@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -74,7 +74,8 @@ def _files(figure: Figure, formats: Collection[str]) -> dict[str, bytes]:
     if not {"png", "svg"} & set(formats):
         return {suffix: _vector(figure, suffix) for suffix in formats}
     with _drawn(figure) as drawn:
-        made = {"png": _packed, **({"svg": Drawn.svg} if drawn.whole else {})}
+        made: dict[str, Callable[[Drawn], bytes]] = {"png": _packed}
+        made |= {"svg": Drawn.svg} if drawn.whole else {}
         found = {suffix: made[suffix](drawn) for suffix in formats if suffix in made}
     return found | {f: _vector(figure, f) for f in formats if f not in found}
 

@@ -77,13 +77,13 @@ class Drawn(RendererAgg):
 
     def __init__(self, figure: Figure) -> None:
         size = figure.bbox.size
-        super().__init__(int(size[0]), int(size[1]), figure.dpi)
+        super().__init__(int(size[0]), int(size[1]), figure.dpi)  # type: ignore[no-untyped-call]
         self.whole = True
         self._inches = figure.get_size_inches()
         self._notes: list[tuple[str, tuple[Any, ...]]] = []
         # The base has made methods of C of these.
-        self.draw_markers = self._noting("draw_markers", self.draw_markers)
-        self.draw_path_collection = self._noting("draw_path_collection", self.draw_path_collection)
+        for name in ("draw_markers", "draw_path_collection"):
+            setattr(self, name, self._noting(name, getattr(self, name)))
         figure.draw(self)
 
     def _noting(self, name: str, draw: Callable[..., None]) -> Callable[..., None]:
@@ -104,22 +104,24 @@ class Drawn(RendererAgg):
 
     def draw_path(self, gc: Any, path: Any, transform: Any, rgbFace: Any = None) -> None:
         self._notes.append(("draw_path", (gc, path, transform, rgbFace)))
-        super().draw_path(gc, path, transform, rgbFace)
+        super().draw_path(gc, path, transform, rgbFace)  # type: ignore[no-untyped-call]
 
     def get_text_width_height_descent(self, s: str, prop: Any, ismath: Any) -> Any:
         key = (s, prop, ismath, self.dpi)
         if key not in _SIZES:
+            base: Any = super()
             if ismath:
+                width, height, below = _outline(s, _plain(prop))[1]
                 scale = self._scale(prop)
-                _SIZES[key] = tuple(scale * v for v in _outline(s, _plain(prop))[1])
+                _SIZES[key] = scale * width, scale * height, scale * below
             else:
-                _SIZES[key] = super().get_text_width_height_descent(s, prop, ismath)
+                _SIZES[key] = base.get_text_width_height_descent(s, prop, ismath)
         return _SIZES[key]
 
     def _scale(self, prop: Any) -> float:
         """Dots per unit of an outline."""
         points = float(prop.get_size_in_points())
-        return points * self.dpi / _POINTS_PER_INCH / text_to_path.FONT_SCALE
+        return float(points * self.dpi / _POINTS_PER_INCH / text_to_path.FONT_SCALE)
 
     def draw_text(
         self,
@@ -135,7 +137,8 @@ class Drawn(RendererAgg):
         """Draw a text, with mathematics as an outline, which is the same in every size."""
         if not ismath:
             self._notes.append(("draw_text", (gc, x, y, s, prop, angle)))
-            super().draw_text(gc, x, y, s, prop, angle, False, mtext)
+            base: Any = super()
+            base.draw_text(gc, x, y, s, prop, angle, False, mtext)
             return
         place = Affine2D().scale(self._scale(prop)).rotate_deg(angle)
         gc.set_linewidth(0.0)
@@ -145,13 +148,15 @@ class Drawn(RendererAgg):
     def image(self) -> Image.Image:
         """What was drawn, in red, green, blue and opacity."""
         size = int(self.width), int(self.height)
-        return Image.frombuffer("RGBA", size, self.buffer_rgba(), "raw", "RGBA", 0, 1)
+        buffer = self.buffer_rgba()  # type: ignore[no-untyped-call]
+        return Image.frombuffer("RGBA", size, buffer, "raw", "RGBA", 0, 1)
 
     def svg(self) -> bytes:
         """What was drawn as an SVG, in units of the image's dots."""
         out = io.StringIO()
         width, height = self._inches * self.dpi
-        renderer = RendererSVG(width, height, out, metadata={"Date": None})
+        writer: Any = RendererSVG
+        renderer = writer(width, height, out, metadata={"Date": None})
         larger = self.dpi / _POINTS_PER_INCH
         for name, (gc, *args) in self._notes:
             if name == "draw_text":
