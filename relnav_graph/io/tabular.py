@@ -33,6 +33,7 @@ __all__ = [
     "Table",
     "component_columns",
     "from_components",
+    "note",
     "read_table",
     "sigma_columns",
     "tangent_columns",
@@ -52,7 +53,7 @@ _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 @cache
-def _note(text: str) -> None:
+def note(text: str) -> None:
     """Log a note once: a table may be read more than once."""
     _LOG.info(text)
 
@@ -167,7 +168,7 @@ class Table:
                     f"{self.path}, line 1: unknown column {name!r}; is it {meant[0]!r}?"
                 )
         if unknown:
-            _note(f"{self.path}: not read: column{'s' * (len(unknown) > 1)} {', '.join(unknown)}")
+            note(f"{self.path}: not read: column{'s' * (len(unknown) > 1)} {', '.join(unknown)}")
 
     def sorted_by(self, column: str) -> Table:
         """The table with its rows in order of a column, those of the same value as they stood; says
@@ -177,7 +178,7 @@ class Table:
         if not moved:
             return self
         back = int((np.diff(self[column]) < 0).sum())
-        _note(
+        note(
             f"{self.path}: sorted by {column}: {moved} of {len(order)} rows moved; {back} stood"
             " before a row of an earlier time"
         )
@@ -342,8 +343,8 @@ def _read_parquet(path: Path, origin: float) -> Table:
 
 
 def read_table(folder: Path, stem: str, origin: float = 0.0) -> Table | None:
-    """The table of that name, all that is read of it finite; None when there is none. origin: s, taken off all
-    columns of times (`TIMES`), in CSV without loss of a digit.
+    """The table of that name, all that is read of it finite; None when there is none. origin: s,
+    taken off all columns of times (`TIMES`), in CSV without loss of a digit.
 
     Raises InputError, naming file, line and column, on a file that is no table, and on a name that
     is a path; on what is no finite number when its column is asked for.

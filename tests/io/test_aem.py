@@ -100,6 +100,11 @@ def test_which_way_a_quaternion_turns(tmp_path: Path) -> None:
     np.testing.assert_allclose(measured(path).measurements[0].z, [[c, 0, 0, s]])
     message(path, "AEM", [TURN], version="1.0", QUATERNION_TYPE="LAST", ATTITUDE_DIR="A2B")
     np.testing.assert_allclose(read_attitudes(path).q_wxyz[0, [0, 3]], [c, s])
+    # In a later one, which has neither, that cannot be meant.
+    for key, value in old.items():
+        message(path, "AEM", [turned], **{key: value})
+        with pytest.raises(InputError, match=rf"line \d+: found {key} '{value}', expected .* 1\.0"):
+            read_attitudes(path)
     # The body as A, the stars as B.
     other = {"REF_FRAME_A": "SC_BODY_1", "REF_FRAME_B": "ICRF"}
     message(path, "AEM", [TURN], **other)
@@ -167,7 +172,7 @@ def test_what_a_track_and_a_table_lack(tmp_path: Path) -> None:
     for options, says in (
         (
             {"block": "chaser_position"},
-            "found block 'chaser_position', expected an attitude of",
+            "option block: found 'chaser_position', expected an attitude of",
         ),
         ({"frame": "TOD"}, "found frame 'TOD'"),
         ({"orbital": True}, "found no orbit of the target"),

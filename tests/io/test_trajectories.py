@@ -146,6 +146,7 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     "time": ("now 1 2 3 0 0 0 1", {"truth": TRUTH}, "line 2: found 'now', expected a time"),
     "undeclared": (f"{UNIX} 1 2 3 0 0 0 1", {"truth": TRUTH}, "expected data.options.time, the cl"),
     "boot": ("12 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "unix"}, 'before 1972; .*"none"'),
+    "ns": ("1403636580863555584 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "unix"}, "stamps in s?"),
     "clock": ("0 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "utc"}, "found 'utc', expected one of n"),
     "quantity": ("0 1 2 3 0 0 0 1", {"truth": {"rate": "w"}}, "found 'rate', expected one of posi"),
     "sensor": ("0 1 2 3 0 0 0 1", {"measured": "bored"}, "found 'bored', .* board, fix, stars"),

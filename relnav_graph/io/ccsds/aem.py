@@ -33,6 +33,8 @@ _LOG = logging.getLogger(__name__)
 
 #: The table of covariances beside a file, in place of its suffix: AEM has none.
 SIDE = "_covariances"
+#: Of an entry that AEM 1.0 alone has.
+_SINCE = ", as always since AEM 2.0; is it one of CCSDS_AEM_VERS = 1.0?"
 #: Types of attitude that are read: words that follow the quaternion.
 _TYPES = {
     "QUATERNION": 0,
@@ -108,10 +110,14 @@ def _product(a: Array, b: Array) -> Array:
 def _segment(message: Message, segment: Segment) -> tuple[list[int], Array, bool]:
     """Epochs, ns of TAI, q_wxyz (N, 4) of R_AB with i for A, and whether A is i."""
     more = message.one_of(segment, "ATTITUDE_TYPE", _TYPES, ": other attitudes are not read")
-    first, back = False, False
-    if message.version == "1.0":
-        first = message.one_of(segment, "QUATERNION_TYPE", {"FIRST": True, "LAST": False})
-        back = message.one_of(segment, "ATTITUDE_DIR", {"A2B": False, "B2A": True})
+    first, back, old = False, False, message.version == "1.0"
+    # Later versions know neither, but for what they always mean: a file that says so is none.
+    if old or "QUATERNION_TYPE" in segment.meta:
+        orders = {"LAST": False} | ({"FIRST": True} if old else {})
+        first = message.one_of(segment, "QUATERNION_TYPE", orders, "" if old else _SINCE)
+    if old or "ATTITUDE_DIR" in segment.meta:
+        ways = {"A2B": False} | ({"B2A": True} if old else {})
+        back = message.one_of(segment, "ATTITUDE_DIR", ways, "" if old else _SINCE)
     if not segment.rows:
         line = message.entry(segment, "OBJECT_NAME")[0]
         raise InputError(f"{message.at(line)}: found no attitude in this segment")
