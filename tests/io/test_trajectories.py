@@ -161,6 +161,11 @@ def test_what_is_refused(tmp_path: Path, name: str) -> None:
         read_raw("tum", tum(tmp_path, row), options, KNOWN)
 
 
+def test_an_option_that_a_reader_needs_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"reader 'ros': found no option 'topics', expected it"):
+        read_raw("ros", tmp_path, {})
+
+
 def test_times_that_do_not_rise(tmp_path: Path) -> None:
     path = tum(tmp_path, f"1 1 2 3 {Q['xyzw']}", f"1 1 2 3 {Q['xyzw']}")
     with pytest.raises(InputError, match=r"line 3: found a time that is not after"):

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.axes import BODY, frame_of, inertial
 from relnav_graph.io.ccsds.message import Message, Row, Segment, read_message
 from relnav_graph.io.ccsds.oem import epochs_of, segments_of, useable
 from relnav_graph.io.covariances import covariances_in
+from relnav_graph.io.poses import ORDERS, check_quaternions
 from relnav_graph.io.tabular import read_table
 from relnav_graph.maths import so3
 from relnav_graph.maths.instants import NS, Instant
@@ -88,15 +88,8 @@ def _quaternions(message: Message, rows: Sequence[Row], first: bool, more: int) 
                 except ValueError:
                     raise InputError(f"{message.at(line)}: found {word!r}, no number") from error
         raise
-    length = np.linalg.norm(found, axis=1)
-    bad = ~(np.abs(length - 1) <= UNIT_QUATERNION)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise InputError(
-            f"{message.at(rows[k][0])}: found a quaternion of length {length[k]:.6g}, expected 1"
-            " within 1e-3"
-        )
-    return found if first else found[:, [3, 0, 1, 2]]
+    check_quaternions(lambda k: message.at(rows[k][0]), found)
+    return found[:, ORDERS["wxyz" if first else "xyzw"]]
 
 
 def _product(a: Array, b: Array) -> Array:
