@@ -256,3 +256,15 @@ def test_columns_and_ids_that_are_missing_are_named() -> None:
     los = {"kind": "beacon_los", "points": [[0, 0, 1], [0, 1, 0]], "sigma": 1e-3, "pose": "target"}
     with pytest.raises(InputError, match=r"measurements.b: found no ids"):
         from_arrays(sensors={"b": los}, measurements={"b": (T, Z[:, :3])})
+
+
+def test_whole_milliseconds_taken_for_nanoseconds_are_a_caution() -> None:
+    """Of a pass of 20 minutes and more, which may be one of 1.2 ms in ns."""
+    t, z = 10_000 * np.arange(130), np.zeros((130, 3))
+    found = rg.Problem.from_arrays(
+        processes={"free": {"kind": "white_noise_acceleration", "acceleration_density": 1e-3}},
+        sensors={"fix": {"kind": "position_fix", "sigma": 0.1}},
+        measurements={"fix": (t, z)},
+        prior={"relative_position": (z[0], 1.0), "relative_velocity": (z[0], 1.0)},
+    )
+    assert ["1e-05 s apart (median): are they whole" in c.text for c in found.cautions] == [True]
