@@ -30,6 +30,7 @@ __all__ = [
     "modules",
     "parameters",
     "provides",
+    "wrong_options",
 ]
 
 
@@ -216,3 +217,18 @@ def find_function(module: str, name: str) -> Callable[..., Any]:
 def parameters(function: Callable[..., Any], first: int) -> list[str]:
     """Names of the parameters of a function after the `first` ones: the options that it takes."""
     return list(inspect.signature(function).parameters)[first:]
+
+
+def wrong_options(
+    function: Callable[..., Any], first: int, given: Iterable[str], besides: Iterable[str] = ()
+) -> str:
+    """What is wrong with the names of options `given` to a function: one that it does not take, or
+    none that it needs; "" where nothing is. besides: parameters that are no options."""
+    taken = dict(list(inspect.signature(function).parameters.items())[first:])
+    names = [name for name in taken if name not in set(besides)]
+    given = list(given)
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        return f"unknown option {unknown[0]!r}; known are {names}"
+    lacks = [n for n in names if n not in given and taken[n].default is inspect.Parameter.empty]
+    return f"found no option {lacks[0]!r}, expected it; known are {names}" if lacks else ""

@@ -24,6 +24,8 @@ __all__ = ["Caution", "gap_cautions", "interval_cautions", "orbit_cautions", "un
 FAR = 10.0
 #: Median interval between epochs, s, from which on it is doubted that stamps are in seconds.
 LONG = 500.0
+#: And, at less than that, s, one to ask whether whole numbers of ms were taken for ns.
+SHORT = 2e-5
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,14 @@ def orbit_cautions(models: Iterable[Any], t: float) -> tuple[Caution, ...]:
 
 
 def interval_cautions(times: Array) -> tuple[Caution, ...]:
-    """Of epochs at times (N,), s, that are so far apart that their stamps may not be in seconds."""
-    typical = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    if typical < LONG:
+    """Of epochs at times (N,), s, so far apart, or so close, that their stamps may be in another
+    unit than they were taken for."""
+    typical = float(np.median(np.diff(times))) if len(times) > 1 else LONG / 2
+    if SHORT <= typical < LONG:
         return ()
-    text = f"the epochs are {typical:.6g} s apart (median){unit_hint(typical)}"
+    near = ": are they whole numbers of ms or us, taken for ns?"
+    hint = unit_hint(typical) if typical >= LONG else near
+    text = f"the epochs are {typical:.6g} s apart (median){hint}"
     return (Caution("intervals", text),)
 
 

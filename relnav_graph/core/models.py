@@ -137,6 +137,12 @@ class SensorModel:
         return np.zeros(0)
 
     def observation_data(self, ids: Indices) -> Array:
+        """None for the only thing that is seen. Raises InputError on the id of another."""
+        only = self.observables()
+        other = ~np.isin(ids, only)
+        if other.any():
+            found, expected = np.asarray(ids)[other][0], ", ".join(map(str, only))
+            raise InputError(f"{self.kind}: found id {found}, expected {expected}")
         return np.zeros((len(ids), 0))
 
     def observables(self) -> Indices:

@@ -35,8 +35,10 @@ UNIT_QUATERNION = 1e-3
 def check_rotation(where: str, matrix: Array) -> None:
     """Raise InputError unless a (3, 3) matrix is a rotation within 1e-6."""
     error = np.abs(matrix.T @ matrix - np.eye(3)).max()
-    if error > 1e-6 or np.linalg.det(matrix) < 0:
+    if error > 1e-6:
         raise InputError(f"{where}: not a rotation (R^T R - I up to {error:.1e})")
+    if np.linalg.det(matrix) < 0:
+        raise InputError(f"{where}: not a rotation but a reflection (determinant -1)")
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,8 @@ CLOCKS: dict[str, tuple[int, int, str]] = {
 }
 #: 1972-01-01, from when on UTC and leap seconds are known, in Unix time, s.
 _UTC_BEGAN = 63072000
+#: Stamps of an absolute clock beyond that, s, about 2200, are no seconds.
+_LAST = 7_258_118_400
 #: Later stamps than that, s, of a clock of its own lose nanoseconds as float64.
 _LATEST = 2.0**53 / NANO
 
@@ -98,6 +100,11 @@ class Clock:
             raise InputError(
                 f"{where}: found the stamp {earliest} s, which in Unix time is before 1972;"
                 ' expected data.options.time = "none", if it is of a clock of its own'
+            )
+        if self.time != "none" and earliest > _LAST:
+            raise InputError(
+                f"{where}: found the stamp {earliest} s, which by the clock {self.time!r} is after"
+                " 2200: are the stamps in s?"
             )
         if self.time != "none":
             return earliest.to_integral_value("ROUND_FLOOR")

@@ -180,9 +180,19 @@ def _hdf(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
 def _npz(path: Path) -> Columns:
     try:
         with np.load(BytesIO(read_file(path)), allow_pickle=False) as found:
-            return Columns(path, {n: np.atleast_1d(found[n]) for n in found.files})
+            return Columns(path, {n: _member(found, n) for n in found.files})
     except (OSError, ValueError, AttributeError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: not a readable .npz file: {error}") from error
+
+
+def _member(found: Any, name: str) -> NDArray[Any]:
+    """An array of an .npz file; of one of objects, none of them: to read these may run code."""
+    try:
+        return np.atleast_1d(found[name])
+    except ValueError as error:
+        if "Object arrays" in str(error):
+            return np.empty((0, 0), dtype=object)
+        raise
 
 
 def read_columns(path: Path, separator: str = "", header: bool = True, skip: int = 0) -> Columns:

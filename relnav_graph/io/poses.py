@@ -19,6 +19,7 @@ from relnav_graph.maths import dense, so3
 __all__ = [
     "ORDERS",
     "Motion",
+    "check_quaternions",
     "from_matrices",
     "from_mrp",
     "from_quaternions",
@@ -42,14 +43,19 @@ def from_quaternions(where: Where, q: Array, order: str = "wxyz") -> Array:
     """
     if order not in ORDERS:
         raise InputError(f"found the order {order!r} of a quaternion, expected wxyz or xyzw")
+    check_quaternions(where, q)
+    own = np.ascontiguousarray(q[:, ORDERS[order]], dtype=np.float64)
+    return dense.stacked((so3.from_quaternion(one) for one in own), 3, 3)
+
+
+def check_quaternions(where: Where, q: Array) -> None:
+    """Raise InputError unless all quaternions (N, 4) have the length one within 1e-3."""
     bad = np.nonzero(~(np.abs(np.linalg.norm(q, axis=1) - 1) <= UNIT_QUATERNION))[0]
     if len(bad):
         raise InputError(
             f"{where(int(bad[0]))}: found the quaternion {q[bad[0]]} of length"
             f" {np.linalg.norm(q[bad[0]]):.6g}, expected one of length 1, within 1e-3"
         )
-    own = np.ascontiguousarray(q[:, ORDERS[order]], dtype=np.float64)
-    return dense.stacked((so3.from_quaternion(one) for one in own), 3, 3)
 
 
 def from_matrices(where: Where, matrices: Array) -> Array:

@@ -10,7 +10,7 @@ import io
 import logging
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from difflib import get_close_matches
 from functools import cache
@@ -33,6 +33,7 @@ __all__ = [
     "Table",
     "component_columns",
     "from_components",
+    "note",
     "read_table",
     "sigma_columns",
     "tangent_columns",
@@ -52,7 +53,7 @@ _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 @cache
-def _note(text: str) -> None:
+def note(text: str) -> None:
     """Log a note once: a table may be read more than once."""
     _LOG.info(text)
 
@@ -99,14 +100,18 @@ def from_components(block: Block, components: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class Table:
     """Columns (rows,) of one file, by name, and lines (rows,): the line number of each row; origin:
-    s, what was taken off the columns of times."""
+    s, what was taken off the columns of times; faults: what is wrong with columns that are not all
+    finite numbers, which may stand there as long as nobody asks for them."""
 
     path: Path
     columns: Mapping[str, Array]
     lines: Indices
     origin: float = 0.0
+    faults: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, column: str) -> Array:
+        if column in self.faults:
+            raise InputError(self.faults[column])
         return self.columns[column]
 
     def stack(self, columns: Sequence[str]) -> Array:
@@ -115,14 +120,16 @@ class Table:
 
     def refuse(self, bad: NDArray[np.bool_], column: str, expected: str) -> None:
         """Raise InputError at the first row where the mask `bad` (rows,) is true, if any."""
+        if bad.any():
+            raise InputError(self.fault(bad, column, expected))
+
+    def fault(self, bad: NDArray[np.bool_], column: str, expected: str) -> str:
+        """What is wrong at the first row where the mask `bad` (rows,) is true."""
         rows = np.nonzero(bad)[0]
-        if len(rows):
-            found = self[column][rows[0]] + (self.origin if column in TIMES else 0.0)
-            more = f" ({len(rows)} such rows)" if len(rows) > 1 else ""
-            raise InputError(
-                f"{self.path}, line {self.lines[rows[0]]}, column {column}: found {found!s},"
-                f" expected {expected}{more}"
-            )
+        found = self.columns[column][rows[0]] + (self.origin if column in TIMES else 0.0)
+        more = f" ({len(rows)} such rows)" if len(rows) > 1 else ""
+        where = f"{self.path}, line {self.lines[rows[0]]}, column {column}"
+        return f"{where}: found {found!s}, expected {expected}{more}"
 
     def sigmas(self, block: Block) -> Array | None:
         """The columns of sigmas (rows, dim) of a block, SI; None without any. Raises InputError
@@ -136,8 +143,12 @@ class Table:
         return self.stack(columns)
 
     def require(self, columns: Sequence[str], optional: Sequence[str] = ()) -> None:
-        """Raise InputError where the table lacks one of `columns`, or has one that is nearly one of
-        `optional`; what else it has is said once, and not read."""
+        """Raise InputError where the table lacks one of `columns`, has one that is nearly one of
+        `optional`, or one of either that is not all numbers; what else it has is said once, and not
+        read."""
+        for name in self.faults:
+            if name in (*columns, *optional):
+                raise InputError(self.faults[name])
         unknown = [c for c in self.columns if c not in (*columns, *optional)]
         for name in columns:
             if name not in self.columns:
@@ -157,7 +168,7 @@ class Table:
                     f"{self.path}, line 1: unknown column {name!r}; is it {meant[0]!r}?"
                 )
         if unknown:
-            _note(f"{self.path}: not read: column{'s' * (len(unknown) > 1)} {', '.join(unknown)}")
+            note(f"{self.path}: not read: column{'s' * (len(unknown) > 1)} {', '.join(unknown)}")
 
     def sorted_by(self, column: str) -> Table:
         """The table with its rows in order of a column, those of the same value as they stood; says
@@ -167,7 +178,7 @@ class Table:
         if not moved:
             return self
         back = int((np.diff(self[column]) < 0).sum())
-        _note(
+        note(
             f"{self.path}: sorted by {column}: {moved} of {len(order)} rows moved; {back} stood"
             " before a row of an earlier time"
         )
@@ -281,23 +292,18 @@ def _read_with_care(path: Path, text: str, origin: float = 0.0) -> Table:
             )
         lines.append(line)
         cells.append(row)
-    try:
-        if any("_" in cell for row in cells for cell in row):
-            raise ValueError  # NumPy, too, reads 1_1 as 11
-        values = np.array(cells, dtype=np.float64).reshape(-1, len(header))
-    except ValueError:
-        values = np.array([[_number(cell) for cell in row] for row in cells])
-        line, column = np.argwhere(np.isnan(values))[0]
-        found = cells[line][column]
+    values = np.array([[_number(cell) for cell in row] for row in cells]).reshape(-1, len(header))
+    faults = {}
+    for j in np.flatnonzero(np.isnan(values).any(axis=0)).tolist():
+        i = int(np.argmax(np.isnan(values[:, j])))
+        found = cells[i][j]
         hint = ", with a point" if re.fullmatch(r"[\d\s+-]+,\d+", found) else ""
         found = repr(found) if len(found) < 60 else repr(found[:60]) + "..."
-        raise InputError(
-            f"{path}, line {lines[line]}, column {header[column]}:"
-            f" found {found}, expected a number{hint}"
-        ) from None
+        where = f"{path}, line {lines[i]}, column {header[j]}"
+        faults[header[j]] = f"{where}: found {found}, expected a number{hint}"
     columns = {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
     _since(origin, columns, lambda j: [row[j] for row in cells])
-    return Table(path, columns, np.array(lines, dtype=np.int64), origin)
+    return Table(path, columns, np.array(lines, dtype=np.int64), origin, faults)
 
 
 def _number(text: str) -> float:
@@ -337,11 +343,11 @@ def _read_parquet(path: Path, origin: float) -> Table:
 
 
 def read_table(folder: Path, stem: str, origin: float = 0.0) -> Table | None:
-    """The table of that name, all numbers finite; None when there is none. origin: s, taken off all
-    columns of times (`TIMES`), in CSV without loss of a digit.
+    """The table of that name, all that is read of it finite; None when there is none. origin: s,
+    taken off all columns of times (`TIMES`), in CSV without loss of a digit.
 
-    Raises InputError, naming file, line and column, on a file that is no table of numbers, and
-    on a name that is a path.
+    Raises InputError, naming file, line and column, on a file that is no table, and on a name that
+    is a path; on what is no finite number when its column is asked for.
     """
     found = [p for end in ("csv", "parquet") if (p := file_in(folder, f"{stem}.{end}")).exists()]
     if len(found) > 1:
@@ -350,9 +356,9 @@ def read_table(folder: Path, stem: str, origin: float = 0.0) -> Table | None:
         return None
     of_csv = found[0].suffix == ".csv"
     table = _read_csv(found[0], origin) if of_csv else _read_parquet(found[0], origin)
-    for name, values in table.columns.items():
-        table.refuse(~np.isfinite(values), name, "a finite number")
-    return table
+    bad = {name: ~np.isfinite(values) for name, values in table.columns.items()}
+    more = {n: table.fault(b, n, "a finite number") for n, b in bad.items() if b.any()}
+    return replace(table, faults={**more, **table.faults})
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray[Any]], origin: float = 0.0) -> None:

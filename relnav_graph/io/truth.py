@@ -17,6 +17,7 @@ from relnav_graph.io.tabular import (
     Table,
     component_columns,
     from_components,
+    note,
     read_table,
     sigma_columns,
 )
@@ -113,6 +114,14 @@ def _missed(block: Block, t: Array, values: Array) -> str:
     return f" (left out, its own rows would be missed by {missed:.2g} {block.table_unit})"
 
 
+def _say_others(folder: Path, known: Container[str]) -> None:
+    """Say once which tables of truth are of no state of the pass, and are not read."""
+    others = [p for p in sorted(folder.glob("truth_*")) if p.suffix in (".csv", ".parquet")]
+    for path in others:
+        if path.stem.removeprefix("truth_") not in known:
+            note(f"{path}: not read: no state has that name")
+
+
 def at_epochs(
     where: str, block: Block, t: Array, values: Array, epochs: Array, gap: float | None = None
 ) -> Array:
@@ -160,6 +169,7 @@ def read_truth(
     InputError, naming file, line and column, on a table with other columns, times that do not
     increase, or a quaternion whose length is not one within 1e-3; it is normalised.
     """
+    _say_others(folder, {*blocks, *(numbered or {})})
     found = {}
     for name, block in blocks.items():
         table = _table(folder, block, name in statics, sort, origin)

@@ -300,6 +300,8 @@ def _bridges(
 def _mean(block: Block, given: Any) -> Array:
     """The mean of a block, (3, 3) or (dim,)."""
     value = given if isinstance(given, list) else np.asarray(given)
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        value = np.asarray(value, dtype=np.float64)
     if isinstance(value, np.ndarray) and value.shape == (3, 3) and block.manifold == "SO3":
         return block.unpack(block.pack(value))
     return prior_mean(block, [value.item()] if np.ndim(value) == 0 else list(value))  # type: ignore[union-attr]

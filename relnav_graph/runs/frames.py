@@ -45,6 +45,7 @@ def problem_from_frames(
         if name not in sensors:
             raise InputError(f"measurements.{name}: unknown sensor, expected: {', '.join(sensors)}")
         where, columns = f"measurements.{name}", _model(sensors[name]).columns
+        frame = _frame(where, frame)
         t, z, ids = _stamps(where, frame), _stacked(where, frame, columns), _first(frame, IDS)
         own = {"t": t, "z": z} | ({} if ids is None else {"ids": _array(frame, ids)})
         parts["measurements"][name] = own
@@ -54,6 +55,7 @@ def problem_from_frames(
         where = f"inputs.{name}"
         if name not in known:
             raise InputError(f"{where}: unknown input, expected: {', '.join(known) or 'none'}")
+        frame = _frame(where, frame)
         ends = [_needed(where, frame, (f"{end}_s", end)) for end in ("t_start", "t_end")]
         own = dict(zip(("t_start", "t_end"), (_array(frame, e) for e in ends), strict=True))
         parts["inputs"][name] = {**own, "values": _stacked(where, frame, known[name])}
@@ -82,6 +84,15 @@ def _array(frame: Any, column: str) -> Any:
         values = getattr(values, "dt", values).tz_convert("UTC")
         values = getattr(values, "dt", values).tz_localize(None)
     return values.to_numpy()
+
+
+def _frame(where: str, given: Any) -> Any:
+    """What is given, if it is a data frame. Raises InputError on another thing."""
+    if hasattr(given, "columns"):
+        return given
+    raise InputError(
+        f"{where}: found {type(given).__name__}, expected a data frame; arrays go to from_arrays"
+    )
 
 
 def _first(frame: Any, names: Sequence[str]) -> str | None:
@@ -115,5 +126,11 @@ def _stacked(where: str, frame: Any, columns: Sequence[str]) -> Any:
 
 def _say_others(where: str, frame: Any, known: Sequence[str]) -> None:
     others = [str(c) for c in frame.columns if c not in known]
+    noise = [c for c in others if c.startswith(("sigma_", "cov_"))]
+    if noise:
+        raise InputError(
+            f"{where}: found the column {noise[0]!r}, expected none of noise, which is not read of"
+            " data frames: the sensor says it, or a data set row by row"
+        )
     if others:
         _LOG.info("%s: left out columns %s", where, ", ".join(others))

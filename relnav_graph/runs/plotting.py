@@ -51,7 +51,7 @@ def _of_estimate(state: StateEstimates) -> tuple[Array, Array]:
 
 
 def _chosen(track: Track, names: Sequence[str] | None) -> dict[str, StateEstimates]:
-    states = states_of(track)
+    states, names = states_of(track), [names] if isinstance(names, str) else names
     unknown = [name for name in names or () if name not in states]
     if unknown:
         raise InputError(f"plot: found {unknown[0]!r}, expected some of: {', '.join(states)}")

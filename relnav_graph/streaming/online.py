@@ -202,7 +202,10 @@ class Online:
                 known = ", ".join(columns) or "none"
                 raise InputError(f"unknown input {name!r}, expected one of: {known}")
             start, end = (np.atleast_1d(np.asarray(t)) for t in (t_start, t_end))
-            rows = np.asarray(values, dtype=np.float64)
+            rows = np.asarray(values)
+            if rows.dtype.kind not in "fiu":
+                raise InputError(f"input {name!r}: found {rows.dtype}, expected real numbers")
+            rows = rows.astype(np.float64)
             rows = rows[None] if rows.ndim == 1 and len(start) == 1 else rows
             wanted = (len(start), len(columns[name]))
             if start.shape != end.shape or rows.shape != wanted or not np.isfinite(rows).all():

@@ -23,6 +23,7 @@ Capture = pytest.CaptureFixture[str]
         ("NoNoise", "covariance of noise: found variance 0.0, expected > 0"),
         ("LittleNoise", "perturb: residuals of noise put on a prediction have 0.2"),
         ("Forgetful", "F[0, 0]: offset, offset: found "),
+        ("LongSteps", "H[0, "),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(capsys: Capture, cls: str, says: str) -> None:
@@ -41,6 +42,7 @@ def test_a_right_model_passes(capsys: Capture) -> None:
     for arguments in (
         ("third_party:Bearing",),
         ("third_party:Bearing", "--set", "sigma=5 cm"),
+        ("third_party:Distance",),
         ("range", "--set", "sigma=1 m"),
         ("gyro_bias", "--set", "angle_random_walk_density=1e-4", "--set",
          "bias_random_walk_density=1e-6"),
@@ -72,6 +74,7 @@ def test_parameters_come_from_a_file_too(capsys: Capture, tmp_path: Path) -> Non
             "sigma: found -1.0 m, expected",
         ),
         (("range",), "(example()|sigma)"),
+        (("third_party:ReadsNothing",), "ReadsNothing: .* expected .*core.contracts"),
         (("third_party:Raises",), "Raises: raised ZeroDivisionError: no such thing"),
     ],
 )

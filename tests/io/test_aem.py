@@ -100,6 +100,11 @@ def test_which_way_a_quaternion_turns(tmp_path: Path) -> None:
     np.testing.assert_allclose(measured(path).measurements[0].z, [[c, 0, 0, s]])
     message(path, "AEM", [TURN], version="1.0", QUATERNION_TYPE="LAST", ATTITUDE_DIR="A2B")
     np.testing.assert_allclose(read_attitudes(path).q_wxyz[0, [0, 3]], [c, s])
+    # In a later one, which has neither, that cannot be meant.
+    for key, value in old.items():
+        message(path, "AEM", [turned], **{key: value})
+        with pytest.raises(InputError, match=rf"line \d+: found {key} '{value}', expected .* 1\.0"):
+            read_attitudes(path)
     # The body as A, the stars as B.
     other = {"REF_FRAME_A": "SC_BODY_1", "REF_FRAME_B": "ICRF"}
     message(path, "AEM", [TURN], **other)
@@ -146,7 +151,7 @@ def test_o_turns_with_the_target(tmp_path: Path) -> None:
         (TURN, {"REF_FRAME_B": "GCRF"}, {}, "line 8: found two inertial frames"),
         (TURN, {"ATTITUDE_TYPE": "SPIN"}, {}, "line 12: found ATTITUDE_TYPE 'SPIN', expected QUAT"),
         (TURN, {"TIME_SYSTEM": "MET"}, {}, "line 9: found TIME_SYSTEM 'MET'"),
-        (TURN.replace(" 0 0", " 0 1"), {}, {}, "line 16: found a quaternion of length 1.4"),
+        (TURN.replace(" 0 0", " 0 1"), {}, {}, "line 16: found the quaternion .* of length 1.4"),
         (TURN + " 0", {}, {}, "line 16: found 6 words, expected 5"),
         (TURN.replace(" 0 0", " 0 x"), {}, {}, "line 16: found 'x', no number"),
         (TURN, {}, {"block": "relative_attitude"}, "found the block 'relative_attitude' with iner"),
@@ -167,7 +172,7 @@ def test_what_a_track_and_a_table_lack(tmp_path: Path) -> None:
     for options, says in (
         (
             {"block": "chaser_position"},
-            "found block 'chaser_position', expected an attitude of",
+            "option block: found 'chaser_position', expected an attitude of",
         ),
         ({"frame": "TOD"}, "found frame 'TOD'"),
         ({"orbital": True}, "found no orbit of the target"),

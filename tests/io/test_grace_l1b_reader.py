@@ -182,3 +182,8 @@ def test_another_zero_of_time_or_none(tmp_path: Path) -> None:
         read(write(tmp_path, "header:\n"))
     with pytest.raises(InputError, match="found no file, expected two of GNI1B or GNV1B"):
         read(tmp_path, run="2020")
+
+
+def test_a_file_that_was_cut_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    read(write(tmp_path, HEADER.replace("30", str(EPOCHS + 1))))
+    assert f"found {EPOCHS} rows, and num_records {EPOCHS + 1}: is it a part?" in caplog.text

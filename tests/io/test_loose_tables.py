@@ -109,3 +109,21 @@ def test_an_origin_is_taken_off_stamps_as_they_are_written(tmp_path: Path, quote
     (tmp_path / "range.csv").write_text("t_s,range_m\n1700000005,5\n1700000004,5\n", "utf-8")
     with pytest.raises(InputError, match=r"line 3, column t_s: found 1700000004\.0, expected"):
         read_dataset(tmp_path, sensors, {}, {}, origin=1.7e9)
+
+
+def test_texts_and_holes_in_columns_that_nobody_reads(tmp_path: Path) -> None:
+    """A remark, a temperature that was not always there; a hole in what is read is wrong."""
+    text = "t_s,remark,range_m,kelvin\n0,begun,5.25,nan\n1,,{},290\n"
+    got = read(by_hand(tmp_path / "good", range=text.format("5.5")))
+    assert [m.z[0, 0] for m in got.measurements if m.sensor == "range"] == [5.25, 5.5]
+    for cell in ("", "nan", "five"):
+        with pytest.raises(InputError, match=r"range\.csv, line 3, column range_m: found .*number"):
+            read(by_hand(tmp_path / f"bad{cell}", range=text.format(cell)))
+
+
+def test_a_truth_of_no_state_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = by_hand(tmp_path)
+    (folder / "truth_relative_positon.csv").write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
+    with caplog.at_level("INFO"):
+        read(folder)
+    assert f"{folder / 'truth_relative_positon.csv'}: not read: no state has that" in caplog.text

@@ -194,6 +194,12 @@ def test_measured_positions_go_to_a_sensor(tmp_path: Path) -> None:
         (rows("2020-01-01T00:00:00"), {"REF_FRAME": "SC_BODY_1"}, "EARTH in SC_BODY_1"),
         (rows("2020-01-01T00:00:00"), {"TIME_SYSTEM": "UT1"}, "line 9: .*'UT1', expected TT"),
         (rows("2020-01-01T00:00:00"), {"TIME_SYSTEM": None}, "line 5: found no TIME_SYSTEM"),
+        (rows("2020-01-01T00:00:00"), {"CENTER_NAME": "Moon"}, "line 7: found the centre MOON"),
+        (
+            rows("2020-01-01T00:00:00"),
+            {"CENTER_NAME": "SOLAR_SYSTEM_BARYCENTER"},
+            "expected EARTH or a spacecraft",
+        ),
         (rows("2020-01-01T00:00:00"), {"STOP_TIME": None}, "found no STOP_TIME"),
         (rows("2020-01-01T00:00:00"), {"CENTER_NAME": None}, "found no CENTER_NAME"),
         (rows("2020-01-01T00:00:00"), {"STOP_TIME": "2019-12-31T00:00:00"}, "line 11: .*but rows"),

@@ -230,6 +230,16 @@ def test_what_is_refused(tmp_path: Path, name: str) -> None:
         read_raw("table", path, {"time": UNIX, **options}, KNOWN)
 
 
+def test_objects_that_nobody_names_stay_unread(tmp_path: Path) -> None:
+    """A recorder's settings beside its arrays; to read them may run code."""
+    path = npz(tmp_path, settings=np.array({"rate": 10}, dtype=object))
+    found = read_raw("table", path, {"time": UNIX, "truth": {"R": {"mrp": "sigma_BN"}}}, KNOWN)
+    assert found.truth is not None
+    assert found.truth.values["R"].shape == (N, 3, 3)
+    with pytest.raises(InputError, match="'settings' is of type object, expected numbers"):
+        read_raw("table", path, {"time": UNIX, "truth": {"R": {"mrp": "settings"}}}, KNOWN)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

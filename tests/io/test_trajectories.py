@@ -146,6 +146,7 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     "time": ("now 1 2 3 0 0 0 1", {"truth": TRUTH}, "line 2: found 'now', expected a time"),
     "undeclared": (f"{UNIX} 1 2 3 0 0 0 1", {"truth": TRUTH}, "expected data.options.time, the cl"),
     "boot": ("12 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "unix"}, 'before 1972; .*"none"'),
+    "ns": ("1403636580863555584 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "unix"}, "stamps in s?"),
     "clock": ("0 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "utc"}, "found 'utc', expected one of n"),
     "quantity": ("0 1 2 3 0 0 0 1", {"truth": {"rate": "w"}}, "found 'rate', expected one of posi"),
     "sensor": ("0 1 2 3 0 0 0 1", {"measured": "bored"}, "found 'bored', .* board, fix, stars"),
@@ -158,6 +159,11 @@ def test_what_is_refused(tmp_path: Path, name: str) -> None:
     row, options, message = BAD[name]
     with pytest.raises(InputError, match=message):
         read_raw("tum", tum(tmp_path, row), options, KNOWN)
+
+
+def test_an_option_that_a_reader_needs_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"reader 'ros': found no option 'topics', expected it"):
+        read_raw("ros", tmp_path, {})
 
 
 def test_times_that_do_not_rise(tmp_path: Path) -> None:

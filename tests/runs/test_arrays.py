@@ -217,6 +217,10 @@ TWO = {"pose": POSE, "beacons": {"kind": "beacon_los", "points": [[0, 0, 1], [0,
             {"measurements": {"pose": (START + np.arange(COUNT) * 10**9, Z)}},
             "in whole nanoseconds .* inputs.gyro: t_end in seconds",
         ),
+        (
+            {"prior": {**PRIOR, "relative_attitude": (-np.eye(3), 1)}},
+            "relative_attitude: not a rotation but a reflection",
+        ),
         ({"inputs": {"gyro": (EDGES[1:], GYRO)}}, r"edges \(55,\) for 55 values, expected \(56,\)"),
         ({"inputs": {"accelerometer": (EDGES, GYRO)}}, "unknown input, .* processes: gyro"),
         ({"inputs": {}}, "needs the input 'gyro'"),
@@ -242,6 +246,25 @@ def test_columns_and_ids_that_are_missing_are_named() -> None:
     table = {"pose": frame.assign(t=T)}
     with pytest.raises(InputError, match=r"no column 'x_m'; found y_m.*expected x_m"):
         rg.Problem.from_frames(**MODELS, measurements=table, prior=PRIOR)
+    whole = pandas.DataFrame(Z, columns=list(COLUMNS)).assign(t=T)
+    for given, says in (
+        (dict(whole), "found dict, expected a data frame"),
+        (whole.assign(sigma_x_m=1.0), "found the column 'sigma_x_m', expected none of noise"),
+    ):
+        with pytest.raises(InputError, match=says):
+            rg.Problem.from_frames(**MODELS, measurements={"pose": given}, prior=PRIOR)
     los = {"kind": "beacon_los", "points": [[0, 0, 1], [0, 1, 0]], "sigma": 1e-3, "pose": "target"}
     with pytest.raises(InputError, match=r"measurements.b: found no ids"):
         from_arrays(sensors={"b": los}, measurements={"b": (T, Z[:, :3])})
+
+
+def test_whole_milliseconds_taken_for_nanoseconds_are_a_caution() -> None:
+    """Of a pass of 20 minutes and more, which may be one of 1.2 ms in ns."""
+    t, z = 10_000 * np.arange(130), np.zeros((130, 3))
+    found = rg.Problem.from_arrays(
+        processes={"free": {"kind": "white_noise_acceleration", "acceleration_density": 1e-3}},
+        sensors={"fix": {"kind": "position_fix", "sigma": 0.1}},
+        measurements={"fix": (t, z)},
+        prior={"relative_position": (z[0], 1.0), "relative_velocity": (z[0], 1.0)},
+    )
+    assert ["1e-05 s apart (median): are they whole" in c.text for c in found.cautions] == [True]

@@ -179,6 +179,7 @@ def test_a_problem_of_arrays_without_measurements_is_driven() -> None:
             r"'fix': found z of \(2,\), expected columns x_",
         ),
         (lambda o: o.push("fix", 0.0, np.zeros((2, 3))), "found no ids for 2 rows"),
+        (lambda o: o.push("fix", 0.0, np.zeros(3), 7), "found id 7, expected 0"),
         (lambda o: o.push("fix", np.nan, np.zeros(3)), "t: found nan, expected a finite time"),
         (lambda o: o.push("fix", 0.0, [np.nan, 0, 0]), "not finite"),
         (lambda o: o.push_input("gyro", 0, 1, np.zeros(3)), "unknown input 'gyro', .*: none"),
@@ -203,6 +204,8 @@ def test_inputs_come_one_by_one_or_many_at_once() -> None:
     for own in {k: v for k, v in pushes(recording).items() if k != "gyro"}.values():
         fed(online, own)
     assert_same(online, "ekf")
+    with pytest.raises(InputError, match="'gyro': found <U1, expected real numbers"):
+        online.push_input("gyro", 9, 10, ["a", "b", "c"])
     with pytest.raises(InputError, match=r"found values \(2, 3\) over \(1,\)"):
         online.push_input("gyro", 0.0, 1.0, np.zeros((2, 3)))
     with pytest.raises(InputError, match="expected times that run on"):

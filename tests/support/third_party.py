@@ -12,6 +12,7 @@ from relnav_graph.compiled import jit
 from relnav_graph.core.catalogue import CHASER_ATTITUDE, RELATIVE_POSITION
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import DynamicsModel, SensorModel
+from relnav_graph.core.numerical import NumericalSensor
 from relnav_graph.core.state import Block
 from relnav_graph.maths import dense
 from relnav_graph.units import Quantity
@@ -155,3 +156,33 @@ class Forgetful(DynamicsModel):
     @property
     def advances(self) -> tuple[Block, ...]:
         return (DRIFT,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadsNothing(SensorModel):
+    """`reads` was forgotten."""
+
+    kind: ClassVar[str] = "reads_nothing"
+    columns: ClassVar[tuple[str, ...]] = ("x_m",)
+    rows: ClassVar[int] = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distance(NumericalSensor):
+    """A distance in plain Python."""
+
+    kind: ClassVar[str] = "plain_distance"
+    columns: ClassVar[tuple[str, ...]] = ("range_m",)
+    blocks: ClassVar[tuple[Block, ...]] = (RELATIVE_POSITION,)
+    sigma: Annotated[float, Quantity("m", positive=True)] = 0.1
+
+    def h(self, r_tc_o: Array) -> float:
+        return float(np.linalg.norm(r_tc_o))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LongSteps(Distance):
+    """One whose steps are far too long."""
+
+    kind: ClassVar[str] = "long_steps"
+    steps: ClassVar[dict[str, float]] = {"relative_position": 0.3}

@@ -11,7 +11,7 @@ from relnav_graph.core.conformance.draws import Draw, draw_blocks
 from relnav_graph.core.contracts import Derived, Dynamics, Sensor
 from relnav_graph.core.numbered import numbered_of
 from relnav_graph.core.state import Block
-from relnav_graph.errors import ModelError
+from relnav_graph.errors import ModelError, RelnavError
 
 __all__ = [
     "DerivedExample",
@@ -72,7 +72,20 @@ def reads_of(model: Any) -> tuple[Block, ...]:
 
 def example_of(model: Any) -> Example:
     """A model as an example, drawn anywhere; an example as it is. Raises ModelError on what has
-    the methods of no contract."""
+    the methods of no contract, or raises when it is asked for them."""
+    try:
+        return _example_of(model)
+    except RelnavError:
+        raise
+    except Exception as error:  # of a stranger's code
+        what = f"{type(error).__name__}: {error}".removesuffix(": ")
+        raise ModelError(
+            f"{type(model).__name__}: raised {what}, expected what a Sensor, a Dynamics or a"
+            " Derived has (relnav_graph.core.contracts), such as `reads` or `advances`"
+        ) from error
+
+
+def _example_of(model: Any) -> Example:
     if isinstance(model, SensorExample | DynamicsExample | DerivedExample):
         return model
     if isinstance(model, Sensor):

@@ -18,6 +18,7 @@ from relnav_graph.core.conformance.numeric import blocks_of, differences, steps_
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.core.models import Outputs
 from relnav_graph.core.numbered import numbered_of
+from relnav_graph.core.numerical import NumericalSensor
 from relnav_graph.core.state import Layout
 from relnav_graph.errors import GeometryError, InputError, ModelError
 
@@ -27,6 +28,9 @@ __all__ = ["Look", "arguments", "jacobian_faults", "looks", "noise_faults", "out
 TIME = 1.0
 #: Sigmas that all residuals of "large" exceed.
 FAR = 10.0
+#: Of a Jacobian, relative to its largest entry: how far it may be from differences; and one that is
+#: made of differences itself, whose steps are long beside a state near zero.
+EXACT, ROUGH = 1e-6, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +196,11 @@ def jacobian_faults(
         outputs = np.where(outputs > 0, outputs, 1.0)
         # Residuals up to half a turn.
         numeric = differences(f, 0.3 * steps_for(H, inputs, outputs)) / scale[:, None]
-        wrong = wrong_entries(numeric, H / scale[:, None], [slice(None)], blocks_of(layout), inputs)
+        # What has its Jacobian from differences itself is as good as its own steps.
+        tolerance = ROUGH if isinstance(model, NumericalSensor) else EXACT
+        wrong = wrong_entries(
+            *(numeric, H / scale[:, None], [slice(None)], blocks_of(layout), inputs), tolerance
+        )
         found += say_wrong("H", regime, wrong, _columns(model), layout.blocks, scale)
         if len(found) >= most:
             break

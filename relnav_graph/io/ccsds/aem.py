@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.axes import BODY, frame_of, inertial
 from relnav_graph.io.ccsds.message import Message, Row, Segment, read_message
 from relnav_graph.io.ccsds.oem import epochs_of, segments_of, useable
 from relnav_graph.io.covariances import covariances_in
+from relnav_graph.io.poses import ORDERS, check_quaternions
 from relnav_graph.io.tabular import read_table
 from relnav_graph.maths import so3
 from relnav_graph.maths.instants import NS, Instant
@@ -33,6 +33,8 @@ _LOG = logging.getLogger(__name__)
 
 #: The table of covariances beside a file, in place of its suffix: AEM has none.
 SIDE = "_covariances"
+#: Of an entry that AEM 1.0 alone has.
+_SINCE = ", as always since AEM 2.0; is it one of CCSDS_AEM_VERS = 1.0?"
 #: Types of attitude that are read: words that follow the quaternion.
 _TYPES = {
     "QUATERNION": 0,
@@ -86,15 +88,8 @@ def _quaternions(message: Message, rows: Sequence[Row], first: bool, more: int) 
                 except ValueError:
                     raise InputError(f"{message.at(line)}: found {word!r}, no number") from error
         raise
-    length = np.linalg.norm(found, axis=1)
-    bad = ~(np.abs(length - 1) <= UNIT_QUATERNION)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise InputError(
-            f"{message.at(rows[k][0])}: found a quaternion of length {length[k]:.6g}, expected 1"
-            " within 1e-3"
-        )
-    return found if first else found[:, [3, 0, 1, 2]]
+    check_quaternions(lambda k: message.at(rows[k][0]), found)
+    return found[:, ORDERS["wxyz" if first else "xyzw"]]
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -108,10 +103,14 @@ def _product(a: Array, b: Array) -> Array:
 def _segment(message: Message, segment: Segment) -> tuple[list[int], Array, bool]:
     """Epochs, ns of TAI, q_wxyz (N, 4) of R_AB with i for A, and whether A is i."""
     more = message.one_of(segment, "ATTITUDE_TYPE", _TYPES, ": other attitudes are not read")
-    first, back = False, False
-    if message.version == "1.0":
-        first = message.one_of(segment, "QUATERNION_TYPE", {"FIRST": True, "LAST": False})
-        back = message.one_of(segment, "ATTITUDE_DIR", {"A2B": False, "B2A": True})
+    first, back, old = False, False, message.version == "1.0"
+    # Later versions know neither, but for what they always mean: a file that says so is none.
+    if old or "QUATERNION_TYPE" in segment.meta:
+        orders = {"LAST": False} | ({"FIRST": True} if old else {})
+        first = message.one_of(segment, "QUATERNION_TYPE", orders, "" if old else _SINCE)
+    if old or "ATTITUDE_DIR" in segment.meta:
+        ways = {"A2B": False} | ({"B2A": True} if old else {})
+        back = message.one_of(segment, "ATTITUDE_DIR", ways, "" if old else _SINCE)
     if not segment.rows:
         line = message.entry(segment, "OBJECT_NAME")[0]
         raise InputError(f"{message.at(line)}: found no attitude in this segment")

@@ -26,6 +26,14 @@ __all__ = ["Ephemeris", "epochs_of", "read_ephemeris", "segments_of"]
 _LOG = logging.getLogger(__name__)
 #: The centre of an orbit that is about no spacecraft.
 EARTH = "EARTH"
+#: Other centres that are no spacecraft: those of the registry of SANA (orbit centers).
+_OTHERS = {
+    *("SUN", "MOON", "MERCURY", "VENUS", "MARS", "JUPITER", "SATURN", "URANUS", "NEPTUNE", "PLUTO"),
+    *("EARTH BARYCENTER", "EARTH-MOON BARYCENTER", "EARTH-MOON", "SOLAR SYSTEM BARYCENTER"),
+    *("SSB", "EMB", "MARS BARYCENTER", "JUPITER BARYCENTER", "SATURN BARYCENTER"),
+    *("URANUS BARYCENTER", "NEPTUNE BARYCENTER", "PLUTO BARYCENTER", "CERES", "PHOBOS", "DEIMOS"),
+    *("IO", "EUROPA", "GANYMEDE", "CALLISTO", "TITAN", "ENCELADUS", "TRITON", "CHARON"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +235,10 @@ def read_ephemeris(
         frame = frame_of(message, segment, "REF_FRAME")
         line, centre = message.entry(segment, "CENTER_NAME")
         of_body, centre = bool(BODY.fullmatch(frame)), centre.upper()
+        if centre.replace("_", " ") in _OTHERS:
+            raise InputError(
+                f"{message.at(line)}: found the centre {centre}, expected {EARTH} or a spacecraft"
+            )
         if of_body and centre == EARTH:
             raise InputError(
                 f"{message.at(line)}: found {centre} in {frame}, expected a spacecraft"

@@ -19,7 +19,13 @@ from typing import Any
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.known import Known
-from relnav_graph.registry import find_function, module_by_suffix, modules, parameters
+from relnav_graph.registry import (
+    find_function,
+    module_by_suffix,
+    modules,
+    parameters,
+    wrong_options,
+)
 
 __all__ = ["GROUP", "asks", "by_suffix", "options_wrong", "read_raw", "readers", "takes_files"]
 
@@ -63,9 +69,8 @@ def options_wrong(name: str, options: Any) -> str:
         return str(error)
     if not isinstance(options, Mapping):
         return f"data.options: found {options!r}, expected a table"
-    names = [p for p in parameters(read, 1) if p != _KNOWN]
-    unknown = [key for key in options if key not in names]
-    return f"reader {name!r}: unknown option {unknown[0]!r}; known are {names}" if unknown else ""
+    wrong = wrong_options(read, 1, options, [_KNOWN])
+    return f"reader {name!r}: {wrong}" if wrong else ""
 
 
 def read_raw(

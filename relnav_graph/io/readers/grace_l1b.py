@@ -126,6 +126,9 @@ def _product(path: Path, columns: Sequence[str], leave_flagged: bool) -> _Produc
             )
     if not rows:
         raise InputError(f"{path}: found no row below the header")
+    told = re.search(r"^\s*num_records\s*:\s*(\d+)", "\n".join(lines[: ends[0]]), re.MULTILINE)
+    if told and int(told[1]) != len(rows):
+        _LOG.warning(f"{path}: found {len(rows)} rows, and num_records {told[1]}: is it a part?")
     words, numbers = dict[str, list[str]](), dict[str, Array]()
     for k, name in enumerate(columns):
         column = [row[k] for row in rows]

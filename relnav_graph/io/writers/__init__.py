@@ -18,7 +18,13 @@ from typing import Any
 
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
-from relnav_graph.registry import find_function, module_by_suffix, modules, parameters
+from relnav_graph.registry import (
+    find_function,
+    module_by_suffix,
+    modules,
+    parameters,
+    wrong_options,
+)
 
 __all__ = ["GROUP", "by_suffix", "fills_folder", "options_of", "write_track", "writers"]
 
@@ -60,8 +66,6 @@ def write_track(name: str, track: Track, path: str | os.PathLike[str], **options
     what the track lacks, on a place that others' files hold, and where nothing can be written.
     """
     write = find_function(_module(name), "write")
-    names = options_of(name)
-    unknown = [key for key in options if key not in names]
-    if unknown:
-        raise InputError(f"writer {name!r}: unknown option {unknown[0]!r}; known are {names}")
+    if wrong := wrong_options(write, 2, options):
+        raise InputError(f"writer {name!r}: {wrong}")
     write(track, Path(path), **options)

@@ -61,7 +61,7 @@ def write(
     if block not in turning and (block or len(turning) != 1):
         names = ", ".join(turning) or "none"
         raise InputError(
-            f"{path}: found block {block!r}, expected an attitude of the track: {names}"
+            f"{path}: option block: found {block!r}, expected an attitude of the track: {names}"
         )
     block = block or next(iter(turning))
     values, P = track.value(block), track.covariance(block)
