@@ -203,8 +203,10 @@ def _draw_estimates(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
 
 
 def _limit_estimates(ax: Axes, lines: Sequence[_Line], axis: int) -> None:
-    """Limits that hold the estimates once filters converged, and the narrowest band."""
-    late = [line.t >= line.t[0] + _TRANSIENT * np.ptp(line.t) for line in lines]
+    """Limits that hold smoothed estimates, those of filters once they converged, and the narrowest
+    band."""
+    begun = [0.0 if line.track.kind == "smoothed" else _TRANSIENT for line in lines]
+    late = [x.t >= x.t[0] + part * np.ptp(x.t) for x, part in zip(lines, begun, strict=True)]
     scale = lines[0].block.table_scale
     values = [scale * x.estimate.value[rows, axis] for x, rows in zip(lines, late, strict=True)]
     shown = np.concatenate(values)
