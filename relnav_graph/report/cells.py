@@ -9,7 +9,7 @@ from typing import Any
 from relnav_graph.report.contents import WorstRun
 from relnav_graph.report.figures import KINDS, plain
 from relnav_graph.scoring.text import ALIGNMENT
-from relnav_graph.scoring.told import value_text
+from relnav_graph.scoring.told import noise_said, value_text
 
 __all__ = ["Cell", "Table", "number"]
 
@@ -298,9 +298,8 @@ def noises(summary: Mapping[str, Any]) -> Table | None:
     """True over declared sigma of each noise, estimated from the best smoother's residuals."""
     body = []
     for one in summary["verdict"]["noises"]:
-        said = Cell("likely cause", "bad") if one["named"] else Cell("as declared", "good")
-        if not one["tested"]:
-            said = Cell("not testable here")
+        words = noise_said(one) if one["tested"] else "not testable here"
+        said = Cell(words, {"likely cause": "bad", "as declared": "good"}.get(words, ""))
         factor = number(one["factor"], 3)
         body.append([Cell(one["noise"], "code"), said,
                      *_cells([factor, _interval(one["factor_ci"])])])  # fmt: skip

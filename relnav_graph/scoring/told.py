@@ -8,7 +8,7 @@ from typing import Any
 
 from relnav_graph.scoring.columns import aligned_columns
 
-__all__ = ["estimate_lines", "told_lines", "value_text"]
+__all__ = ["estimate_lines", "noise_said", "told_lines", "value_text"]
 
 
 def value_text(value: float, sigma: float) -> str:
@@ -80,12 +80,21 @@ def _sensor_cells(name: str, kind: str, sensor: str, one: Mapping[str, Any]) -> 
     ]
 
 
+def noise_said(noise: Mapping[str, Any]) -> str:
+    """What is said of a declared noise that was tested. Few rows cannot name it as a cause; where
+    its interval is beside one all the same, they are no proof that it is none."""
+    low, high = noise["factor_ci"]
+    if noise["named"]:
+        return "likely cause"
+    return "as declared" if low <= 1 <= high else "in doubt"
+
+
 def _noise_row(noise: Mapping[str, Any]) -> Sequence[str]:
     if not noise["tested"]:
         return [noise["noise"], "-", "-", "not testable by this pass"]
     low, high = noise["factor_ci"]
-    said = "likely cause" if noise["named"] else "as declared"
-    return [noise["noise"], f"{noise['factor']:.3f}", f"{low:.3f}..{high:.3f}", said]
+    factor, interval = f"{noise['factor']:.3f}", f"{low:.3f}..{high:.3f}"
+    return [noise["noise"], factor, interval, noise_said(noise)]
 
 
 def told_lines(summary: Mapping[str, Any]) -> list[str]:

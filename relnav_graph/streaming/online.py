@@ -139,6 +139,7 @@ class Online:
         max_gap: float = 3600.0,
     ) -> None:
         self._lock, self._origin = threading.RLock(), origin
+        self._whole: bool | None = None  # whether stamps are whole numbers, as the first one is
         if origin is None and t is not None:
             self._origin = first_stamp([("t", t)])
         begin = None if t is None else float(seconds("t", t, self._origin)[0])
@@ -267,10 +268,16 @@ class Online:
     # --- inside ----------------------------------------------------------------------------
 
     def _seconds(self, where: str, t: Any) -> float:
-        """A stamp as seconds of the pass."""
+        """A stamp as seconds of the pass. Raises InputError on one of another kind than the first:
+        21 is 21 ns, 21.0 are seconds."""
         if self._origin is None:
             self._origin = first_stamp([(where, t)])
         at = float(seconds(where, t, self._origin)[0])
+        whole = np.asarray(t).dtype.kind != "f"
+        self._whole = whole if self._whole is None else self._whole
+        if whole != self._whole:
+            kinds = "seconds as floats", "whole nanoseconds or datetime64"
+            raise InputError(f"{where}: found {t!r}, expected {kinds[self._whole]}, as before")
         if not np.isfinite(at):
             raise InputError(f"{where}: found {t}, expected a finite time")
         return at

@@ -21,6 +21,7 @@ from relnav_graph.runs.outputs import write_outputs
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.agreement import distances, row_cautions
 from relnav_graph.scoring.metrics import table, with_smoothed
+from relnav_graph.scoring.told import noise_said
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +109,16 @@ def test_a_row_that_is_none_is_refused_before_any_work(
     assert code == 2
     assert "--draw: found 'batch', expected an estimator of this pass: ekf" in said
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("interval", "named", "said"),
+    [
+        ([0.9, 1.2], False, "as declared"),
+        ([0.0, 0.7], False, "in doubt"),
+        ([2.0, 3.0], True, "likely cause"),
+    ],
+)
+def test_few_rows_are_no_proof_of_a_noise(interval: list[float], named: bool, said: str) -> None:
+    """36 rows that fit exactly: the interval is beside one, and yet names no cause."""
+    assert noise_said({"factor_ci": interval, "named": named}) == said

@@ -191,6 +191,8 @@ def test_what_cannot_be_is_refused_at_once(call: Callable[[Any], Any], says: str
     with pytest.raises(InputError, match=says):
         call(online)
     online.push("fix", 0.0, np.array([5.0, 0, 0]))
+    with pytest.raises(InputError, match="t: found 1, expected seconds as floats, as before"):
+        online.push("fix", 1, np.array([5.0, 0, 0]))
     found = online.estimate()
     assert found is not None
     assert found.status == "OK"
