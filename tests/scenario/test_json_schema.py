@@ -66,3 +66,12 @@ def test_what_is_wrong_is_refused(
         else:
             table[last] = value
     assert valid(raw) == kept
+
+
+def test_the_file_beside_the_scenarios_is_this_schema() -> None:
+    """Made by ``relnav validate --schema``; the first line of each scenario names it to editors."""
+    stored = json.loads((EXPERIMENTS / "scenario.schema.json").read_text("utf-8"))
+    assert stored == json.loads(json.dumps(json_schema()))
+    for path in SCENARIOS:
+        first = path.read_text("utf-8").partition("\n")[0]
+        assert first == "#:schema scenario.schema.json", path

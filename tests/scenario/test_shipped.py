@@ -20,6 +20,7 @@ def test_every_scenario_goes_into_the_wheel_under_its_name() -> None:
     settings = tomllib.loads((EXPERIMENTS.parent / "pyproject.toml").read_text())
     included = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     files = {p.relative_to(EXPERIMENTS).as_posix() for p in EXPERIMENTS.rglob("*.toml")}
+    files.add("scenario.schema.json")
     expected = {f"experiments/{name}": f"relnav_graph/scenarios/{name}" for name in files}
     assert included == expected
 
