@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from relnav_graph.core.problem import Prior, Problem
     from relnav_graph.core.timed import TimedSensor
     from relnav_graph.core.track import Recording, Track, Truth
+    from relnav_graph.errors import InputError
     from relnav_graph.estimators import run_estimator
     from relnav_graph.estimators.online.driver import online
     from relnav_graph.io.exports import to_dataframe, to_xarray
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Comparison",
+    "InputError",
     "InputSeries",
     "Measurement",
     "NumericalSensor",
@@ -85,6 +87,7 @@ __all__ = [
 #: Where each of them lives: loaded when first asked for, so that the import itself costs nothing.
 _HOMES = {
     "Comparison": "runs.comparison",
+    "InputError": "errors",
     "InputSeries": "core.measurement",
     "Measurement": "core.measurement",
     "NumericalSensor": "core.numerical",

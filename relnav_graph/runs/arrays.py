@@ -62,8 +62,9 @@ def problem_from_arrays(
 
     measurements: of each sensor (t, z) or (t, z, ids), or a dict of these names: t (N,), z
     (N, columns) in the units that the sensor's `columns` name, (N,) where there is one; ids (N,),
-    which beacon or point a row is of; they may be left out where a sensor sees one thing. In any
-    order. Without any, and without times, it is a problem for `relnav_graph.Online`.
+    which beacon or point a row is of; they may be left out where a sensor sees one thing; in a dict
+    also covariance (N, rows, rows) of the residual. In any order. Without any, and without times,
+    it is a problem for `relnav_graph.Online`.
 
     inputs: of each input of the processes (edges, values): values (n, channels) are means between
     neighbours of edges (n + 1,); or (t_start, t_end, values), with n each.
@@ -185,18 +186,22 @@ def _rows(where: str, given: Any, columns: Sequence[str], count: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """What one sensor saw, as given: t (N,), z (N, columns) and ids (N,)."""
+    """What one sensor saw, as given: t (N,), z (N, columns), ids (N,), covariance of each row."""
 
     name: str
     t: Any
     z: Array
     ids: Indices | None
+    P: Array | None
 
     @staticmethod
     def of(where: str, name: str, given: Any, sensors: Mapping[str, Sensor]) -> _Samples:
         if name not in sensors:
             raise InputError(f"{where}: unknown sensor, expected one of: {', '.join(sensors)}")
-        parts = _parts(where, given, (("t", "z"), ("t", "z", "ids")))
+        forms = (("t", "z"), ("t", "z", "ids"))
+        if isinstance(given, Mapping):
+            forms += tuple((*form, "covariance") for form in forms)
+        parts = _parts(where, given, forms)
         t, ids = np.atleast_1d(np.asarray(parts["t"])), parts.get("ids")
         if t.ndim != 1:
             raise InputError(f"{where}: found t of {t.shape}, expected (N,)")
@@ -204,9 +209,12 @@ class _Samples:
         if ids is not None:
             ids = np.asarray(ids)
             if ids.shape != t.shape or ids.dtype.kind not in "iu":
-                found = f"{ids.dtype} {ids.shape}"
-                raise InputError(f"{where}: found ids {found}, expected whole numbers {t.shape}")
-        return _Samples(name, t, z, ids)
+                found = f"{where}: found ids {ids.dtype} {ids.shape}"
+                raise InputError(f"{found}, expected whole numbers {t.shape}")
+        P, shape = parts.get("covariance"), (len(t), *2 * (sensors[name].rows,))
+        if P is not None and np.shape(P) != shape:
+            raise InputError(f"{where}: found covariance {np.shape(P)}, expected {shape}")
+        return _Samples(name, t, z, ids, None if P is None else np.asarray(P))
 
     @property
     def stamps(self) -> list[tuple[str, Any]]:
@@ -229,8 +237,13 @@ class _Samples:
             k = twice[0]
             raise InputError(f"{where}: found id {ids[k]} twice at t = {t[k]} s, expected once")
         edges = np.append(np.flatnonzero(np.diff(t, prepend=-np.inf)), len(t)).tolist()
-        cuts = pairwise(edges)
-        return [Measurement(self.name, float(t[i]), z[i:j], ids[i:j]) for i, j in cuts]
+        return [
+            Measurement(
+                *(self.name, float(t[i]), z[i:j], ids[i:j]),
+                covariance=None if self.P is None else self.P[order[i:j]],
+            )
+            for i, j in pairwise(edges)
+        ]
 
 
 @dataclass(frozen=True, eq=False)

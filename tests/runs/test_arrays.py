@@ -268,3 +268,22 @@ def test_whole_milliseconds_taken_for_nanoseconds_are_a_caution() -> None:
         prior={"relative_position": (z[0], 1.0), "relative_velocity": (z[0], 1.0)},
     )
     assert ["1e-05 s apart (median): are they whole" in c.text for c in found.cautions] == [True]
+
+
+def test_a_row_may_bring_its_own_covariance() -> None:
+    """Counted in place of the sensor's noise, whatever the order of the rows."""
+    t, z = np.array([1.0, 0.0]), np.array([[2.0, 0, 0], [0.0, 0, 0]])
+    P = np.array([4.0, 1.0])[:, None, None] * np.eye(3)
+    sensors = {"fix": {"kind": "position_fix", "sigma": 1.0}}
+    processes = {"move": {"kind": "white_noise_acceleration", "acceleration_density": 1e-9}}
+    prior = {"relative_position": (np.zeros(3), 100.0), "relative_velocity": (np.zeros(3), 1e-6)}
+
+    def found(measured: Any) -> Problem:
+        return rg.problem_from_arrays(
+            processes=processes, sensors=sensors, prior=prior, measurements={"fix": measured}
+        )
+
+    track = rg.run_estimator("batch", found({"t": t, "z": z, "covariance": P}))
+    assert track.value("relative_position")[-1, 0] == pytest.approx(2.0 / 5.0, rel=1e-3)
+    with pytest.raises(InputError, match=r"found covariance \(2,\), expected \(2, 3, 3\)"):
+        found({"t": t, "z": z, "covariance": np.ones(2)})
