@@ -137,9 +137,10 @@ class SensorModel:
         return np.zeros(0)
 
     def observation_data(self, ids: Indices) -> Array:
-        """None for the only thing that is seen. Raises InputError on the id of another."""
+        """None for the only thing that is seen. Raises InputError on the id of another, unless ids
+        are numbers of blocks."""
         only = self.observables()
-        other = ~np.isin(ids, only)
+        other = ~np.isin(ids, only) & (numbered_of(self) is None)
         if other.any():
             found, expected = np.asarray(ids)[other][0], ", ".join(map(str, only))
             raise InputError(f"{self.kind}: found id {found}, expected {expected}")

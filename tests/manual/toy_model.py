@@ -107,6 +107,10 @@ class PositionFix(SensorModel):
     def reads(self) -> tuple[Block, ...]:
         return (RELATIVE_POSITION,)
 
+    def observation_data(self, ids: Indices) -> Array:
+        """None: several receivers may see the same at one time, whatever their ids."""
+        return np.zeros((len(ids), 0))
+
     def noise(self, m: Measurement) -> Array:
         """R (k, 3, 3)."""
         return np.tile(self.covariance, (len(m.z), 1, 1))
