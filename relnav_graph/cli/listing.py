@@ -38,6 +38,8 @@ def command(folder: Path | None) -> None:
 
     Without one, the scenarios that come with the package, which every command finds by name.
     """
+    if folder is not None and not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
     found = classes(models.ENTRY_POINTS)
     for title, contract in (
         ("Sensors", Sensor),

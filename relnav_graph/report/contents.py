@@ -15,12 +15,13 @@ from relnav_graph.files import read_file
 from relnav_graph.io.manifest import PASS_FILE, PassManifest
 from relnav_graph.io.results import cautions_in, read_results
 from relnav_graph.io.stored import Count, check_json
+from relnav_graph.registry import look_beside
 from relnav_graph.runs.comparison import compare_pass
 from relnav_graph.runs.outputs import sights
 from relnav_graph.scenario.build import make_scenario
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scenario.schema import ScenarioError
-from relnav_graph.scenario.toml import refuse_modules
+from relnav_graph.scenario.toml import modules_of, refuse_modules
 from relnav_graph.scoring.metrics import summary, versions
 from relnav_graph.study.collect import Collected
 from relnav_graph.study.conduct import study_summary
@@ -186,6 +187,8 @@ def _read_pass(path: Path, trust: bool) -> PassContents:
     manifest, file = PassManifest.read(path), path / PASS_FILE
     if not trust:
         refuse_modules(str(file), {"raw": manifest.raw})
+    else:
+        look_beside(Path(), modules_of(manifest.raw))
     scenario = _stored_scenario(file, manifest.raw, manifest.name)
     tracks, truth, attributes = read_results(path / "results.nc")
     if not tracks:
@@ -210,8 +213,8 @@ def _read_pass(path: Path, trust: bool) -> PassContents:
 def read_contents(path: Path, trust: bool = False) -> StudyContents | PassContents:
     """What the folder of ``relnav study``, ``compare`` or ``smooth`` holds.
 
-    trust: its scenario may name modules ("module:Class"), which are then imported. Raises
-    InputError on a folder of something else, and on damaged files.
+    trust: its scenario may name modules ("module:Class"), which are then imported, from where it is
+    run too. Raises InputError on a folder of something else, and on damaged files.
     """
     if not path.is_dir():
         raise InputError(f"{path}: {'is a file, expected' if path.exists() else 'no such'} folder")

@@ -63,6 +63,16 @@ def is_dataset(folder: Path) -> bool:
     return (folder / "scenario.toml").is_file()
 
 
+def _as_it_came(raw: Mapping[str, Any], folder: Path) -> bool:
+    """Whether a scenario reads a folder in parts, files of others, which nobody has converted."""
+    data = raw.get("data")
+    return isinstance(data, dict) and "parts" in data and not (folder / "dataset.toml").exists()
+
+
+def _is_raw(raw: Mapping[str, Any], folder: Path) -> bool:
+    return not is_dataset(folder) or _as_it_came(raw, folder)
+
+
 def simulated_pass(scenario: Scenario, seed: int, run: int = 0, loops: bool = True) -> Pass:
     """A pass drawn from a scenario.
 
@@ -84,13 +94,12 @@ def open_dataset(folder: Path, assignments: Sequence[str] = (), trust: bool = Fa
     """
     _need_folder(folder)
     raw = override(read_scenario_of(folder, trust), assignments)
-    name, data = folder.resolve().name, raw.get("data")
-    parts = isinstance(data, dict) and "parts" in data
+    name = folder.resolve().name
 
     def made(settings: Mapping[str, Any] | None) -> Scenario:
         return make_scenario(raw, name, settings, trust)
 
-    if parts and not (folder / "dataset.toml").exists():  # files of others, as they came
+    if _as_it_came(raw, folder):
         recording = _read_folder(name, raw, folder, made)
         scenario = made(recording.settings)
         seed = scenario.file.seed
@@ -121,7 +130,7 @@ def open_pass(
         return simulated_pass(own, own.file.seed if seed is None else seed, run, loops)
     own, recording = recorded_pass(scenario, data, assignments)
     root = own.file.seed if seed is None else seed
-    if isinstance(data, Recording) or not is_dataset(Path(data)):
+    if isinstance(data, Recording) or _is_raw(own.raw, Path(data)):
         recording = own.completed(recording, root, run)
     return Pass(own, recording, root, False, run)
 
@@ -142,7 +151,7 @@ def recorded_pass(
     folder = Path(data)
     if not folder.exists():
         raise InputError(f"{folder}: no such folder")
-    if is_dataset(folder):
+    if not _is_raw(raw, folder):
         own = made(read_settings_of(folder, raw))
         return own, _recorded(own, folder)
     recording = _read_folder(where, raw, folder, made)

@@ -222,6 +222,11 @@ def test_validate_finds_a_damaged_data_set(capsys: Capture, dataset: Path, tmp_p
     assert "beacons.csv: truncated or changed" in err
 
 
+def test_list_refuses_what_is_no_folder(capsys: Capture) -> None:
+    code, _, err = _run(capsys, "list", "euler_rotation")
+    assert (code, err) == (2, "error: euler_rotation: no such folder\n")
+
+
 def test_list_names_everything(capsys: Capture) -> None:
     code, out, _ = _run(capsys, "list", EXPERIMENTS)
     assert code == 0

@@ -240,6 +240,8 @@ def test_it_is_a_data_set_of_its_own_and_converts_to_one(
     path = as_messages(tmp_path / "files")
     path.rename(path.parent / "scenario.toml")
     opened = open_dataset(path.parent)
+    by_its_file = open_pass(path.parent / "scenario.toml", data=path.parent)
+    np.testing.assert_array_equal(by_its_file.recording.times, opened.recording.times)
     assert relnav(capsys, "convert", path.parent, tmp_path / "set")[0] == 0
     copy = open_dataset(tmp_path / "set")
     np.testing.assert_array_equal(copy.recording.times, opened.recording.times)

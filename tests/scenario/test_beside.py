@@ -132,6 +132,21 @@ def test_a_data_set_with_a_module_beside_it_needs_trust(tmp_path: Path, capsys: 
     assert "beside_four" in sys.modules
 
 
+def test_a_report_finds_the_module_where_it_is_run(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, out = written(tmp_path, "beside_five", "Honest"), tmp_path / "out"
+    code, _, err = relnav(capsys, "compare", path, "-e", "ekf", "-o", out, "--figures", "none")
+    assert code in (0, 3), err
+    sys.modules.pop("beside_five")
+    monkeypatch.setattr(sys, "path", [one for one in sys.path if one != str(tmp_path)])
+    assert relnav(capsys, "report", out, "--trust")[0] == 2
+    monkeypatch.chdir(tmp_path)
+    assert relnav(capsys, "report", out)[0] == 2
+    code, _, err = relnav(capsys, "report", out, "--trust")
+    assert code == 0, err
+
+
 def test_validate_asks_for_what_the_truth_does_not_know(tmp_path: Path, capsys: Capture) -> None:
     path = written(tmp_path, "beside_five", "Ranger")
     code, _, err = relnav(capsys, "validate", path)
