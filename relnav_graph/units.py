@@ -175,6 +175,16 @@ class Quantity:
     fill: bool = False
     words: tuple[str, ...] = ()
 
+    def in_words(self) -> str:
+        """What it is in words: unit, size, sign."""
+        size = " x ".join("n" if n is None else str(n) for n in self.shape)
+        many = (
+            f"{size} numbers" + (", or one for all," if self.fill else "") if size else "a number"
+        )
+        sign = " above zero" if self.positive else " of zero or more" if self.nonnegative else ""
+        other = "".join(f" or {word!r}" for word in self.words)
+        return f"{many} in {self.unit}{sign}{other}"
+
     def check(self, value: Any) -> Any:
         """`value` as a float, or as a read-only C-contiguous float64 array.
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
+from difflib import get_close_matches
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import click
+import numpy as np
 
 from relnav_graph import estimators
 from relnav_graph.core import models
@@ -17,6 +21,7 @@ from relnav_graph.registry import classes, provides
 from relnav_graph.scenario.shipped import shipped
 from relnav_graph.scenario.toml import read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
+from relnav_graph.units import quantities
 
 
 def _first_line(thing: object) -> str:
@@ -31,16 +36,61 @@ def _section(title: str, rows: dict[str, str]) -> None:
     click.echo()
 
 
+def _default(field: dataclasses.Field[object]) -> str:
+    """A field's default in words, "" where it must be given."""
+    value = field.default
+    if field.default_factory is not dataclasses.MISSING:
+        value = np.asarray(field.default_factory()).tolist()
+    if value is dataclasses.MISSING:
+        return ""
+    return "may be left out" if value is None else f"default {value!r}"
+
+
+def _choice(hint: object) -> str:
+    """One of a field's choices: a word, or a type."""
+    return hint.__name__ if isinstance(hint, type) else repr(hint)
+
+
+def _describe(kind: str, cls: type) -> None:
+    """What a kind is, and its parameters with units and defaults."""
+    click.echo(f"{kind}\n\n{inspect.getdoc(cls) or ''}\n")
+    known, rows = quantities(cls), dict[str, str]()
+    hints = get_type_hints(cls)
+    for field in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
+        if field.name in known:
+            what = known[field.name].in_words()
+        else:
+            what = " or ".join(
+                map(
+                    _choice,
+                    [a for a in get_args(hints[field.name]) if a is not type(None)]
+                    or [hints[field.name]],
+                )
+            )
+        rows[field.name] = "; ".join(part for part in (what, _default(field)) if part)
+    if rows:
+        _section("Parameters", rows)
+
+
 @click.command("list")
-@click.argument("folder", type=click.Path(path_type=Path), required=False)
-def command(folder: Path | None) -> None:
+@click.argument("what", metavar="[FOLDER|KIND]", required=False)
+def command(what: str | None) -> None:
     """List models, estimators, truths, readers, writers, and the scenarios in FOLDER.
 
-    Without one, the scenarios that come with the package, which every command finds by name.
+    Without one, the scenarios that come with the package, which every command finds by name. Of a
+    KIND of model, truth, instrument or estimator: what it is, and its parameters.
     """
-    if folder is not None and not folder.is_dir():
-        raise InputError(f"{folder}: no such folder")
+    folder = None if what is None else Path(what)
     found = classes(models.ENTRY_POINTS)
+    every = {**found, **classes(estimators.GROUP), **classes(TRUTHS)}
+    if what in every:
+        _describe(what, every[what])
+        return
+    if folder is not None and not folder.is_dir():
+        near = get_close_matches(str(what), every, 1)
+        raise InputError(
+            f"{folder}: no such folder, and no such kind{f'; is it {near[0]}?' if near else ''}"
+        )
     for title, contract in (
         ("Sensors", Sensor),
         ("Dynamics", Dynamics),

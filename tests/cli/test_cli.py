@@ -223,8 +223,24 @@ def test_validate_finds_a_damaged_data_set(capsys: Capture, dataset: Path, tmp_p
 
 
 def test_list_refuses_what_is_no_folder(capsys: Capture) -> None:
-    code, _, err = _run(capsys, "list", "euler_rotation")
-    assert (code, err) == (2, "error: euler_rotation: no such folder\n")
+    code, _, err = _run(capsys, "list", "euler_rotatoin")
+    says = "no such folder, and no such kind; is it euler_rotation?"
+    assert (code, err) == (2, f"error: euler_rotatoin: {says}\n")
+
+
+def test_list_tells_of_a_kind_what_it_takes(capsys: Capture) -> None:
+    code, out, _ = _run(capsys, "list", "gyro_bias")
+    assert code == 0
+    assert out.startswith("gyro_bias\n\nChaser attitude and gyro bias")
+    said = {
+        line.split()[0]: line.split(maxsplit=1)[1] for line in out.splitlines() if line[:2] == "  "
+    }
+    assert said["angle_random_walk_density"] == (
+        "3 numbers, or one for all, in rad/sqrt(s) above zero"
+    )
+    assert said["bias_random_walk_density"].endswith("of zero or more; default [0.0, 0.0, 0.0]")
+    assert said["attitude"].endswith("'relative_attitude'; default 'chaser_attitude'")
+    assert said["orbit"] == "KeplerOrbit; may be left out"
 
 
 def test_list_names_everything(capsys: Capture) -> None:
