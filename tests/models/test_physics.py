@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from example_makers import gyro_model
+from plain_physics import PAIR
 from relnav_factors.derived.inertia_ratios import InertiaRatios
 from relnav_factors.dynamics.body_velocity import BodyVelocity
 from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
@@ -16,29 +17,12 @@ from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.maths import so3
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion, frame_rotation, relative_transition
-from relnav_graph.sim.truths.rigid_body_pair import RigidBodyPair
 
-DEG = np.pi / 180
 #: Principal moments, kg m^2, with the intermediate axis in the middle; and a tumble that
 #: comes near it, rad/s.
 J = np.array([100.0, 80.0, 60.0])
 TUMBLE = np.array([0.02, 0.2, 0.02])
 ORBIT = KeplerOrbit(7.2e6, 0.05, 0.3)
-PAIR = RigidBodyPair(
-    semi_major_axis=7.2e6,
-    eccentricity=0.05,
-    true_anomaly=0.3,
-    inclination=0.9,
-    raan=2.1,
-    argument_of_perigee=-1.2,
-    relative_position=np.array([200.0, 200.0, 100.0]),
-    relative_velocity=np.array([0.01, -0.4325, 0.01]),
-    target_attitude=np.array([0.3, -0.8, 0.5]),
-    chaser_attitude=np.array([-0.2, 0.1, 1.4]),
-    target_inertia=J,
-    target_rate=np.array([0.2, 2.5, 0.2]) * DEG,
-    chaser_rate=np.array([0.001, -0.002, 0.003]),
-)
 
 
 def parameters(moments: Array) -> Array:
