@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from example_makers import ESTIMATED, gyro_model
 from passes import EXPERIMENTS
+from plain_physics import PAIR
 from relnav_factors.dynamics.eccentric_relative_motion import EccentricRelativeMotion
 from relnav_factors.dynamics.euler_rotation import EulerRotation
 from relnav_factors.dynamics.planar_orbit import PlanarOrbit
 from scipy.integrate import solve_ivp
-from test_physics import ORBIT, PAIR, angle_between, lasting
+from test_physics import ORBIT, angle_between, lasting
 
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
