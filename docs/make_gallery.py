@@ -235,7 +235,7 @@ def page(key: str, group: Group, names: Sequence[str], table: str) -> str:
     for name in names:
         said = name.replace("_", " ")
         out += [f"![{group.title}: {said}]({key}_{name}.png)", ""]
-    out += ["Drawn from one pass:", "", "<!-- not run: by python docs/make_gallery.py -->"]
+    out += ["Drawn from one pass:", "", *([f"<!-- data: {group.data} -->"] if group.data else [])]
     out += ["```console", group.command, "```", "", table, "", "## Scenarios", ""]
     out += [described(name) for name in group.scenarios]
     for section in group.sections:

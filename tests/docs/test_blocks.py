@@ -1,82 +1,57 @@
 """Every block of code in the README and the documentation runs.
 
 Python blocks of a page share their names, in order, as a reader would type them. Commands `relnav`
-run at reduced size, those of a pipe in processes of their own. A block that cannot run says why in
-a comment before it, ``<!-- not run: why -->``; one of TOML is read, and written where it says so,
-``<!-- file: my.toml -->``.
+run at reduced size, those of a pipe in processes of their own; other scripts do in their own tests.
+A block that cannot run says why in a comment before it, ``<!-- not run: why -->``; one that is a
+file is written, ``<!-- file: my.toml -->``; one on recorded data names them, ``<!-- data: NAME
+-->``. At full size all run by `docs/run_blocks.py`, which stores what they print.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shlex
 import subprocess
 import sys
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
+from passes import recorded
 
 from relnav_graph.cli.main import main
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PAGES = [p for p in PAGES if not {"_build", "generated"} & set(p.parts)]
-#: Fence, language, body, with the comment that may stand before.
-_BLOCK = re.compile(
-    r"(?:<!-- not run: (?P<why>[^>]+?) -->\n|<!-- file: (?P<file>[^>]+?) -->\n)?"
-    r"^```(?P<language>[^\n`]*)\n(?P<body>.*?)^```$",
-    re.MULTILINE | re.DOTALL,
-)
-RUN = {"python", "console", "bash", "toml"}
 #: Commands whose pass may be shortened, and to how many epochs.
 SHORT = {"compare", "simulate", "stream", "study", "explain", "calibrate", "tune", "smooth"}
 EPOCHS = 5
-#: What a clean environment does, and a test does not.
-ELSEWHERE = ("pip ", "python ", "ruff ", "mypy", "lint-imports", "pytest", "sphinx-build ")
+MORE = {"closures": 250}  # its loops close late
+#: Of recorded passes that are long.
+PART = {"starry_night": ["--set", "data.options.frames=[131,260]", "--set", "evaluate=[0,1]"]}
 
 
-@dataclass(frozen=True)
-class Block:
-    """A block of code, where it begins, why it is not run, and the file that it is."""
-
-    page: Path
-    line: int
-    language: str
-    body: str
-    why: str | None
-    file: str | None = None
-
-    def __str__(self) -> str:
-        return f"{self.page.relative_to(ROOT)}:{self.line}"
+def _module(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
 
 
-def blocks(page: Path) -> list[Block]:
-    text = page.read_text("utf-8")
-    return [
-        Block(
-            page,
-            text[: m.start("body")].count("\n") + 1,
-            m["language"].strip(),
-            m["body"],
-            m["why"],
-            m["file"],
-        )
-        for m in _BLOCK.finditer(text)
-    ]
+docs = _module(ROOT / "docs" / "run_blocks.py")
+#: What a test does not run: environments, and scripts that have tests of their own.
+ELSEWHERE = (*docs.ELSEWHERE, "python ")
 
 
-def _is_notebook(page: Path) -> bool:
-    """Sphinx runs it at each build (`test_build`)."""
-    return page.read_text("utf-8").startswith("---\nfile_format: mystnb")
-
-
-def commands(body: str) -> list[list[str]]:
+def words_of(block: Any) -> list[list[str]]:
     """The lines of a console block as words, without comments."""
     found: list[list[str]] = []
-    for line in body.replace("\\\n", " ").splitlines():
+    for line in block.commands:
         lexer = shlex.shlex(line, posix=True, punctuation_chars="|&")
         lexer.whitespace_split, lexer.commenters = True, "#"
         words = list(lexer)
@@ -89,14 +64,15 @@ def shortened(words: list[str]) -> list[str]:
     """A command of relnav with few epochs, where it makes any."""
     if words[1] not in SHORT:
         return words
+    if words[1] in ("study", "compare") and "-e" not in words:
+        words = [*words, "-e", "ekf", *(["-e", "batch"] if words[1] == "compare" else [])]
     if words[1] == "study" and "--runs" in words:
         words[words.index("--runs") + 1] = "2"
         words = [*words, "--jobs", "1"]
-        words += [] if "-e" in words else ["-e", "iekf", "-e", "batch"]
     if words[1] in ("compare", "smooth") and "--figures" not in words:
         words = [*words, "--figures", "none"]
     recorded = words[1] == "smooth" or "--data" in words  # as many epochs as the data have
-    return words if recorded else [*words, "--set", f"time.epochs={EPOCHS}"]
+    return words if recorded else [*words, "--set", f"time.epochs={MORE.get(words[2], EPOCHS)}"]
 
 
 def _here(words: list[str]) -> int:
@@ -120,20 +96,22 @@ def _piped(parts: list[list[str]]) -> int:
     return max(codes)
 
 
-def run_console(block: Block) -> None:
+def run_console(block: Any) -> None:
     """Run the commands of relnav in a block. Exit code 3 is an estimate that says it is degraded:
-    it had so few epochs. Recorded data have all of theirs."""
-    for words in commands(block.body):
+    it had so few epochs. What a page makes of data of one's own is to be sound."""
+    for words in words_of(block):
+        if block.data is not None:
+            words = [str(recorded(block.data)) if word == "DIR" else word for word in words]
+            words += PART.get(block.data, [])
         parts = []
         for part in _split(words):
             if part[0] == "relnav":
                 parts.append(shortened(part))
             else:
-                assert any(f"{part[0]} ".startswith(one) for one in ELSEWHERE), part
+                assert f"{part[0]} ".startswith(ELSEWHERE), part
         for together in [parts] if "|" in words else [[part] for part in parts]:
             code = _piped(together) if len(together) > 1 else _here(together[0])
-            recorded = "--data" in together[-1] or together[-1][1:3] == ["smooth", "my_data"]
-            good = (0,) if recorded else (0, 3)
+            good = (0,) if "my_data" in together[-1] else (0, 3)
             assert code in good, f"{shlex.join(together[-1])}: exit code {code}"
 
 
@@ -147,29 +125,23 @@ def _split(words: list[str]) -> list[list[str]]:
     return parts
 
 
-def _to_run(page: Path) -> list[Block]:
-    return [block for block in blocks(page) if block.language in RUN and block.why is None]
-
-
-@pytest.mark.parametrize(
-    "page", [p for p in PAGES if _to_run(p)], ids=lambda p: str(p.relative_to(ROOT))
-)
+@pytest.mark.parametrize("page", [p for p in docs.PAGES if docs.to_run(p)], ids=docs.name_of)
 def test_blocks_of_a_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "experiments").symlink_to(ROOT / "experiments")
     names: dict[str, Any] = {"__name__": "page"}
-    for block in _to_run(page):
+    for block in docs.to_run(page):
         try:
+            if block.file is not None:
+                Path(block.file).write_text(block.body, "utf-8")
             if block.language == "toml":
                 tomllib.loads(block.body)
-                if block.file is not None:
-                    Path(block.file).write_text(block.body, "utf-8")
-            elif block.language != "python":
+            elif block.language in docs.PYTHON:
+                exec(docs.compiled(block), names)
+            else:
                 run_console(block)
-            elif not _is_notebook(page):
-                exec(compile("\n" * block.line + block.body, str(block), "exec"), names)
         except Exception as error:
             error.add_note(str(block))
             raise
@@ -178,14 +150,14 @@ def test_blocks_of_a_page_run(
 def test_no_code_hides_in_another_language() -> None:
     """A block of code has one of the languages that run; commands do not stand in plain blocks."""
     plain = {"", "text", "json"}
-    for page in PAGES:
-        for block in blocks(page):
+    for page in docs.PAGES:
+        for block in docs.blocks(page):
             directive = block.language.startswith("{")
-            assert directive or block.language in RUN | plain, f"{block}: {block.language!r}"
+            assert directive or block.language in docs.RUN | plain, f"{block}: {block.language!r}"
             if block.language in plain:
                 assert not re.match(r"(relnav|python|pip|import|from) ", block.body), str(block)
             if block.why is not None:
-                assert block.language in RUN, str(block)
+                assert block.language in docs.RUN, str(block)
 
 
 def test_the_runner_runs_what_it_reads(tmp_path: Path) -> None:
@@ -193,12 +165,12 @@ def test_the_runner_runs_what_it_reads(tmp_path: Path) -> None:
     page.write_text(
         "# A\n\n```python\nx = 1\n```\n\n<!-- not run: long -->\n```console\nrelnav nothing\n```\n"
     )
-    one, two = blocks(page)
+    one, two = docs.blocks(page)
     assert (one.language, one.line, one.why) == ("python", 4, None)
     assert two.why == "long"
     body = "relnav study a --runs 50 -e batch  # many\nrelnav simulate a -o - | relnav stream a\n"
-    study, piped = commands(body)
+    study, piped = words_of(docs.Block(page, 1, "console", body))
     assert shortened(study)[2:5] == ["a", "--runs", "2"]
     assert [part[1] for part in _split(piped)] == ["simulate", "stream"]
     with pytest.raises(AssertionError, match="exit code 2"):
-        run_console(Block(page, 1, "console", "relnav validate no_such_scenario", None))
+        run_console(docs.Block(page, 1, "console", "relnav validate no_such_scenario"))
