@@ -21,8 +21,10 @@ from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.track import Track
 from relnav_graph.errors import InputError
 
-__all__ = ["considered_caution", "considering"]
+__all__ = ["CONSIDERED", "considered_caution", "considering"]
 
+#: Name of the caution of a track that counts what it does not estimate.
+CONSIDERED = "consider-covariance"
 #: What is left of a prior's sigmas that holds a block: small enough to be nothing beside them, and
 #: large enough to keep the digits of S.
 HELD = 1e-4
@@ -33,7 +35,7 @@ def considered_caution(problem: Problem) -> tuple[Caution, ...]:
     if not problem.considered:
         return ()
     text = f"{', '.join(problem.considered)}: counted, not estimated; covariances count them"
-    return (Caution("consider-covariance", text),)
+    return (Caution(CONSIDERED, text),)
 
 
 def considering(problem: Problem, run: Callable[[Problem], Track], who: str) -> Track:

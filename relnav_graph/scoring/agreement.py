@@ -16,6 +16,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.state import Block
 from relnav_graph.core.track import Track
+from relnav_graph.estimators.considered import CONSIDERED
 from relnav_graph.estimators.second_look import SECOND_LOOK
 from relnav_graph.scoring.bent_axes import axes_cautions
 from relnav_graph.scoring.wandering import wandering_cautions
@@ -108,7 +109,8 @@ def _overconfidence(track: Track, reference: Track) -> float:
     """Mean of (x - r)^T P^-1 (x - r) / n over the last three quarters of the pass, of a filter's
     estimates x, with covariances P (n, n), against the reference r.
 
-    At most 1 in the mean where both are consistent: x - r has the covariance P less that of r.
+    At most 1 in the mean where both are consistent: x - r has the covariance P less that of r. Not
+    so where something is considered: each estimate is then drawn by it in a way of its own.
     """
     blocks, squares = _shared(reference, track), []
     for begin in range(len(track.t) // 4, len(track.t), _AT_ONCE):
@@ -142,12 +144,13 @@ def row_cautions(
         bent = [c for c in rows[reference].cautions if c.name == SECOND_LOOK] if reference else []
         if distance is not None and not any(c.name == SECOND_LOOK for c in own):
             own += [Caution(SECOND_LOOK, f"of {reference}: {c.text}") for c in bent]
+        considered = any(c.name == CONSIDERED for c in own)
         if distance is not None and distance > FAR:
             where = "at the last epoch" if track.kind == "filtered" else "over the pass"
             if reference not in REFERENCES:
                 where = "on average over the last three quarters of the pass"
             own.append(Caution("distance", f"{distance:.3g} sigma from {reference} {where}"))
-        elif distance is not None and track.kind != "smoothed":
+        elif distance is not None and track.kind != "smoothed" and not considered:
             ratio = _overconfidence(track, rows[reference])
             if ratio > OVERCONFIDENT:
                 text = (

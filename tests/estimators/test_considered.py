@@ -18,6 +18,7 @@ from relnav_graph.estimators.online.driver import Online
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.runs.graph import to_gtsam
 from relnav_graph.runs.passes import open_pass
+from relnav_graph.scoring.agreement import distances, row_cautions
 from relnav_graph.scoring.metrics import score
 
 MOUNTING = ("camera_misalignment", "camera_displacement")
@@ -126,6 +127,23 @@ def test_consider_covariances_hold_over_many_passes() -> None:
     assert 0.6 < np.mean(anees["ekf"]) < 1.6
     assert 0.6 < np.mean(anees["batch"]) < 1.4
     assert np.mean(anees["ignored"]) > 1000.0
+
+
+def test_estimates_that_consider_are_not_called_overconfident() -> None:
+    """What is considered draws each of them in a way of its own, which the covariance of the other
+    does not bound; their own covariances are true all the same."""
+    sets = ["time.epochs=300", *(f"prior.{name}.considered=true" for name in MOUNTING)]
+    opened = open_pass(EXPERIMENTS / "mounting.toml", 0, assignments=sets)
+    rows = {kind: run_estimator(kind, opened.problem) for kind in ("batch", "isam2")}
+    references, apart = distances(rows)
+    assert apart["isam2"] is not None
+    assert apart["isam2"] < 1
+    cautions = row_cautions(rows, references, apart)["isam2"]
+    assert [caution.name for caution in cautions] == ["consider-covariance"]
+    assert opened.recording.truth is not None
+    anees = score(rows["isam2"], opened.recording.truth, ()).anees
+    assert anees is not None
+    assert anees < 2
 
 
 def test_a_block_that_moves_is_considered_by_the_filter() -> None:
