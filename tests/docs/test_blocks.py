@@ -9,18 +9,17 @@ file is written, ``<!-- file: my.toml -->``; one on recorded data names them, ``
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shlex
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 from passes import recorded
+from scripts import loaded
 
 from relnav_graph.cli.main import main
 
@@ -33,17 +32,7 @@ MORE = {"closures": 250}  # its loops close late
 PART = {"starry_night": ["--set", "data.options.frames=[131,260]", "--set", "evaluate=[0,1]"]}
 
 
-def _module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-docs = _module(ROOT / "docs" / "run_blocks.py")
+docs = loaded(ROOT / "docs" / "run_blocks.py")
 #: What a test does not run: environments, and scripts that have tests of their own.
 ELSEWHERE = (*docs.ELSEWHERE, "python ")
 

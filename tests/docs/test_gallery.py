@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 from passes import EXPERIMENTS
+from scripts import loaded
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
 def gallery() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_gallery", DOCS / "make_gallery.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["make_gallery"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    return loaded(DOCS / "make_gallery.py")
 
 
 def test_every_scenario_stands_in_one_group(gallery: ModuleType) -> None:

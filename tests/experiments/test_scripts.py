@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 from passes import recorded
+from scripts import loaded
 
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.study.conduct import do_runs
@@ -20,13 +19,7 @@ EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 
 
 def _script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, EXPERIMENTS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    return loaded(EXPERIMENTS / f"{name}.py")
 
 
 def test_native_gtsam_recovers_the_pose() -> None:

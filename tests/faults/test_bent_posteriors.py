@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from scripts import loaded
 
 from relnav_graph.estimators import run_estimator
 from relnav_graph.estimators.gauss_newton import solve
@@ -22,12 +22,7 @@ SCRIPT = Path(__file__).parents[2] / "experiments" / "random_problems.py"
 
 
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("random_problems", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(SCRIPT)
 
 
 def problem(number: int) -> Pass:
