@@ -10,6 +10,7 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, Polygon, Rectangle
 
 STATIC = Path(__file__).parent / "_static"
@@ -17,29 +18,33 @@ INK, PALE = "#333333", "#8a8f98"
 COLOURS = {"i": "#5b6472", "o": "#1b6ca8", "t": "#c4572a", "c": "#2f8f5b", "s": "#8e44ad"}
 
 
-def _arrow(ax: Axes, a: object, b: object, colour: str, width: float = 1.6) -> None:
+Point = tuple[float, float]
+
+
+def _arrow(ax: Axes, a: Point, b: Point, colour: str, width: float = 1.6) -> None:
     style = {"arrowstyle": "-|>", "color": colour, "lw": width, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", xy=b, xytext=a, arrowprops=style)
 
 
-def _axes(ax: Axes, at: tuple[float, float], turn: float, size: float, name: str) -> None:
+def _axes(ax: Axes, at: Point, turn: float, size: float, name: str) -> None:
     """The x and y axis of a frame, turned by `turn`, deg; z is out of the page."""
     for k, letter in enumerate("xy"):
         a = np.radians(turn + 90 * k)
-        tip = np.array(at) + size * np.array([np.cos(a), np.sin(a)])
+        tip, label = (
+            (at[0] + r * float(np.cos(a)), at[1] + r * float(np.sin(a))) for r in (size, size + 0.2)
+        )
         _arrow(ax, at, tip, COLOURS[name])
-        label = np.array(at) + (size + 0.2) * np.array([np.cos(a), np.sin(a)])
         ax.text(*label, f"${letter}_{name}$", color=COLOURS[name], ha="center", va="center")
 
 
-def _blank(width: float, height: float) -> tuple[plt.Figure, Axes]:
+def _blank(width: float, height: float) -> tuple[Figure, Axes]:
     fig, ax = plt.subplots(figsize=(width, height))
     ax.set_aspect("equal")
     ax.axis("off")
     return fig, ax
 
 
-def frames() -> plt.Figure:
+def frames() -> Figure:
     """Earth, target, chaser, their frames, and the vectors between them."""
     fig, ax = _blank(8.0, 4.8)
     earth, target, chaser = (0.0, 0.0), (4.2, 2.6), (8.3, 2.9)
@@ -75,7 +80,7 @@ def frames() -> plt.Figure:
     return fig
 
 
-def perturbation() -> plt.Figure:
+def perturbation() -> Figure:
     """An attitude, its estimate, and the small rotation between."""
     fig, ax = _blank(8.0, 2.4)
     for at, turn, name, text in (
