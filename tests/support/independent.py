@@ -63,7 +63,7 @@ def erfa_frames_apart() -> float:
     return float(max(found))
 
 
-# --- gravity: brahe, whose numbers are stored -------------------------------------------------
+# --- gravity ----------------------------------------------------------------------------------
 
 FIELD = geopotential()
 #: Low, high, at the equator, near both poles, at one of them.
@@ -77,17 +77,6 @@ PLACES = np.array(
         [0.0, 0.0, 6.8e6],
     ]
 )
-#: python -c "import brahe, numpy as np
-#: M = brahe.GravityModel.from_model_type(brahe.GravityModelType.EGM2008_120)
-#: for r in ([3e6, -4e6, 4.5e6], [1e-3, 2e-3, 6.8e6]):
-#:     for n in (20, 60): print(M.compute_spherical_harmonics(np.array(r), n, n).tolist())"
-#: (brahe 1.8.0, which sums after Clenshaw). Place, degree and order, m/s^2.
-BRAHE = [
-    (0, 20, [-3.9212868666170193, 5.228754691439182, -5.899229625114874]),
-    (0, 60, [-3.921265112600321, 5.228782674475694, -5.899217217514326]),
-    (3, 20, [9.765165296709321e-05, -2.6190746245157887e-05, -8.595790737568143]),
-    (3, 60, [9.930045441398673e-05, -2.3682675270589535e-05, -8.595777865391343]),
-]
 
 
 def pull(r: Array, degree: int, order: int) -> tuple[Array, Array]:
@@ -98,14 +87,6 @@ def pull(r: Array, degree: int, order: int) -> tuple[Array, Array]:
 
 def sphere(r: Array) -> Array:
     return -FIELD.gm * r / float(np.linalg.norm(r)) ** 3
-
-
-def brahe_gravity_apart() -> float:
-    """The Earth's pull to degree and order 20 and 60, m/s^2."""
-    found = [
-        np.abs(sphere(PLACES[k]) + pull(PLACES[k], n, n)[0] - want).max() for k, n, want in BRAHE
-    ]
-    return float(max(found))
 
 
 # --- propagation: SciPy's DOP853 --------------------------------------------------------------
@@ -270,6 +251,12 @@ def filterpy_kalman_apart() -> tuple[float, float]:
 def far(a: Track, b: Track) -> float:
     """Largest difference of two tracks, in sigmas of the second."""
     return float(np.abs(b.layout.local(b.x, a.x) / sigmas(b.P)).max())
+
+
+def covariances_apart(a: Track, b: Track) -> float:
+    """Largest difference of their covariances at any epoch, as of correlations."""
+    sigma = sigmas(b.P)
+    return float((np.abs(a.P - b.P) / (sigma[:, :, None] * sigma[:, None, :])).max())
 
 
 def levenberg_marquardt(graph: Graph) -> gtsam.Values:
