@@ -186,18 +186,22 @@ def modules(group: str, own: str) -> Mapping[str, str]:
     return dict(sorted(found.items()))
 
 
+def suffixes(found: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+    """The SUFFIXES of the modules found, by name; of those that cannot be imported none."""
+    ends = {}
+    for name, module in found.items():
+        try:
+            ends[name] = tuple(getattr(importlib.import_module(module), "SUFFIXES", ()))
+        except (Exception, SystemExit) as error:  # it may be a stranger's code
+            _LOG.warning(f"{module} cannot be imported: {type(error).__name__}: {error}")
+    return ends
+
+
 def module_by_suffix(found: Mapping[str, str], path: Path) -> str | None:
     """The name of the module, of those found, whose SUFFIXES has the end of the name of a file;
     None: there is none."""
-    for name, module in found.items():
-        try:
-            ends = getattr(importlib.import_module(module), "SUFFIXES", ())
-        except (Exception, SystemExit) as error:  # it may be a stranger's code
-            _LOG.warning(f"{module} cannot be imported: {type(error).__name__}: {error}")
-            continue
-        if path.name.lower().endswith(tuple(ends)):
-            return name
-    return None
+    name = path.name.lower()
+    return next((one for one, ends in suffixes(found).items() if name.endswith(ends)), None)
 
 
 def find_function(module: str, name: str) -> Callable[..., Any]:

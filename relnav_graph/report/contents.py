@@ -52,7 +52,8 @@ class WorstRun:
 @dataclass(frozen=True, eq=False)
 class PassContents:
     """One pass: tracks, truth where known, and their summary; seen: how many observations there
-    are of each point of a map, by the name of its block."""
+    are of each point of a map, by the name of its block; simulated: whether its recording was drawn
+    from the scenario's truth."""
 
     scenario: Scenario
     summary: Mapping[str, Any]
@@ -61,6 +62,7 @@ class PassContents:
     command: str
     versions: Mapping[str, str]
     seen: Mapping[str, int]
+    simulated: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +91,20 @@ class StudyContents:
         command = next((w.command for w in self.worst if w.run == run), "")
         tracks, truth = list(found.tracks), found.truths[0]
         return PassContents(
-            self.scenario, found.summary, tracks, truth, command, versions(), sights(found)
+            self.scenario,
+            found.summary,
+            tracks,
+            truth,
+            command,
+            versions(),
+            sights(found),
+            self.simulated,
         )
+
+    @property
+    def simulated(self) -> bool:
+        """Whether all of each run was drawn from the scenario's truth."""
+        return self.spec.data is None
 
 
 @dataclass(frozen=True)
@@ -207,7 +221,8 @@ def _read_pass(path: Path, trust: bool) -> PassContents:
     )
     where, text = f"{path / 'results.nc'}, times_seen", attributes.get("times_seen", "{}")
     seen = check_json(where, text.encode(), dict[str, Count])
-    return PassContents(scenario, found, tracks, truth, manifest.command, manifest.versions, seen)
+    about = (manifest.command, manifest.versions, seen, manifest.simulated)
+    return PassContents(scenario, found, tracks, truth, *about)
 
 
 def read_contents(path: Path, trust: bool = False) -> StudyContents | PassContents:

@@ -290,7 +290,7 @@ def render(
         "time": scenario.file.time,
         "orbit": setting.orbit(scenario),
         "models": setting.models(scenario),
-        "simulated": setting.simulated(scenario),
+        "simulated": setting.simulated(scenario) if content.simulated else None,
         "prior": setting.prior(scenario),
         "toml": setting.toml(scenario),
         "overview": cells.overview(summary),

@@ -24,8 +24,9 @@ from relnav_graph.io.readers import by_suffix as reader_of
 from relnav_graph.io.readers import options_wrong, read_raw
 from relnav_graph.io.results import read_results
 from relnav_graph.io.writers import by_suffix as writer_of
-from relnav_graph.io.writers import fills_folder, options_of, write_track
+from relnav_graph.io.writers import fills_folder, options_of, write_track, writers
 from relnav_graph.maths.instants import Instant
+from relnav_graph.registry import suffixes
 from relnav_graph.runs.passes import open_pass
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scoring.metrics import with_smoothed
@@ -66,17 +67,24 @@ def convert_results(
 
     to: the writer, by default the one that the suffix of `out` says, else CSV tables; name: of the
     track, where there are several, also NAME_smoothed; options: of the writer. When t = 0 is, and
-    whether o turns, is taken from the results, where they say it. Raises InputError.
+    whether o turns, is taken from the results, where they say it. Raises InputError, also on a
+    suffix that no writer has.
     """
     tracks, _, attributes = read_results(source)
     writer = to or writer_of(out) or "csv"
-    known: dict[str, Any] = {}
+    if not to and out.suffix and writer_of(out) is None and not out.is_dir():
+        known = ", ".join(sorted(end for ends in suffixes(writers()).values() for end in ends))
+        raise InputError(
+            f"{out}: no writer makes files {out.suffix}; expected one of {known}, a name without a"
+            " suffix for a folder of CSV tables, or the name of a writer (--to)"
+        )
+    own: dict[str, Any] = {}
     if "time_epoch" in attributes:
-        known = {"epoch": attributes["time_epoch"], "orbital": attributes.get("o") == "RTN"}
-    known = {k: v for k, v in known.items() if k in options_of(writer)} | dict(options or {})
+        own = {"epoch": attributes["time_epoch"], "orbital": attributes.get("o") == "RTN"}
+    own = {k: v for k, v in own.items() if k in options_of(writer)} | dict(options or {})
     chosen = _chosen(source, tracks, name, fills_folder(writer))
     for track in chosen:
-        write_track(writer, track, out, **known)
+        write_track(writer, track, out, **own)
     return f"{out}: {len(chosen)} tracks" if fills_folder(writer) else f"{out}: {chosen[0].name}"
 
 

@@ -133,4 +133,4 @@ def _say_others(where: str, frame: Any, known: Sequence[str]) -> None:
             " data frames: the sensor says it, or a data set row by row"
         )
     if others:
-        _LOG.info("%s: left out columns %s", where, ", ".join(others))
+        _LOG.warning("%s: not read: columns %s", where, ", ".join(others))

@@ -53,6 +53,14 @@ def prior_mean(block: Block, value: list[Any]) -> Array:
     return so3.exp(tangent) if block.manifold == "SO3" else tangent
 
 
+def _example(block: Block) -> str:
+    """A prior of a block as a scenario has it: how many numbers, and their unit."""
+    mean = [1, 0, 0, 0] if block.manifold == "SO3" else [0] * block.dim
+    unit = f'"1 {block.unit}"' if block.unit not in ("", "1") else "1.0"
+    turned = '"1 deg"' if block.unit == "rad" else unit
+    return f"{{ mean = {mean}, sigma = {turned} }}"
+
+
 def check_prior(
     layout: Layout,
     file: ScenarioFile,
@@ -77,7 +85,7 @@ def check_prior(
                 static = " (here one for each, where no sensor knows them)"
             elif block.name not in layout.statics:
                 static = ""
-            message = f"missing: every block needs a prior{static}"
+            message = f"missing: every block needs a prior{static}, as {_example(block)}"
             problems.append((f"prior.{block.name}", message))
             continue
         try:

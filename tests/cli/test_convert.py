@@ -54,6 +54,11 @@ def test_results_go_to_files_of_others(capsys: Capture, tmp_path: Path) -> None:
         code, _, said = relnav(capsys, "convert", stored, tmp_path / "d.oem", *extra)
         assert code == 2
         assert says in said
+    for name in ("d.foo", "d.csv"):
+        code, _, said = relnav(capsys, "convert", stored, tmp_path / name)
+        assert code == 2
+        assert f"no writer makes files {name[1:]}; expected one of .aem, .bag," in said
+        assert not (tmp_path / name).exists()
     write_results(stored, [one], None, {})
     code, _, said = relnav(capsys, "convert", stored, tmp_path / "d.oem")
     assert code == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -201,6 +202,19 @@ def test_measured_positions_go_to_a_sensor(tmp_path: Path) -> None:
             "expected EARTH or a spacecraft",
         ),
         (rows("2020-01-01T00:00:00"), {"STOP_TIME": None}, "found no STOP_TIME"),
+        *(
+            (
+                ["2020-01-01T00:00:00 7000 0 0 0 7.5 " + word],
+                {},
+                rf"line \d+: found '{re.escape(word)}', expected a finite number{says}",
+            )
+            for word, says in (
+                ("nan", ""),
+                ("-inf", ""),
+                ("1e400", ""),
+                ("1.0D+00", ".*follows an E, not a D"),
+            )
+        ),
         (rows("2020-01-01T00:00:00"), {"CENTER_NAME": None}, "found no CENTER_NAME"),
         (rows("2020-01-01T00:00:00"), {"STOP_TIME": "2019-12-31T00:00:00"}, "line 11: .*but rows"),
         (rows("2020-01-01T00:00:01", "2020-01-01T00:00:00"), {}, "line 15: .*after the row above"),

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from relnav_graph.report import cells
 from relnav_graph.report import page as pages
 from relnav_graph.report import scene as scenes
 from relnav_graph.report.contents import PassContents, StudyContents, read_contents
-from relnav_graph.report.page import MAX_BYTES
+from relnav_graph.report.page import MAX_BYTES, render
 from relnav_graph.study.record import RunRecord
 
 SHORT = ("--set", "time.epochs=12", "-e", "iekf", "-e", "batch")
@@ -227,6 +228,11 @@ def test_a_pass_is_told_in_full(one_pass: Path) -> None:
     assert "relnav compare" in text
     assert "--seed 4" in text
     assert "Verdict" not in text
+    assert "What is simulated" in text
+    content = read_contents(one_pass)
+    assert isinstance(content, PassContents)
+    recorded = replace(content, simulated=False)  # though it could have been
+    assert "What is simulated" not in render(recorded, plotly="")
 
 
 def test_without_plotly_there_are_images_and_a_word_on_the_extra(

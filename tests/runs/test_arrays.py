@@ -162,6 +162,13 @@ def frames(index: bool) -> Problem:
     return made
 
 
+def test_columns_that_are_not_read_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    frames(False)
+    (said,) = [one for one in caplog.records if "not read" in one.getMessage()]
+    assert said.levelname == "WARNING"
+    assert said.getMessage().endswith("pose: not read: columns battery")
+
+
 @pytest.mark.parametrize(
     "make",
     [

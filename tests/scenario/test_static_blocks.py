@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -47,10 +48,14 @@ def test_sensors_of_one_mount_share_its_blocks_and_others_have_their_own() -> No
 def test_a_static_block_without_a_prior_is_named_with_its_path(name: str) -> None:
     with pytest.raises(ScenarioError) as raised:
         make_scenario(raw("prior", name), "no prior")
-    found = dict(raised.value.problems)
-    assert found == {
-        f"prior.{name}": "missing: every block needs a prior (it is static: no process advances it)"
-    }
+    (where, says), *others = raised.value.problems
+    assert (where, others) == (f"prior.{name}", [])
+    begin = "missing: every block needs a prior (it is static: no process advances it), as { mean"
+    assert says.startswith(begin)
+    # What it shows is one.
+    tables = raw("prior", name)
+    tables["prior"][name] = tomllib.loads(f"prior = {says.partition(', as ')[2]}")["prior"]
+    make_scenario(tables, "as it says")
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.axes import BODY, frame_of, inertial
-from relnav_graph.io.ccsds.message import Message, Row, Segment, read_message
+from relnav_graph.io.ccsds.message import Message, Row, Segment, number, read_message
 from relnav_graph.io.ccsds.oem import epochs_of, segments_of, useable
 from relnav_graph.io.covariances import covariances_in
 from relnav_graph.io.poses import ORDERS, check_quaternions
@@ -80,14 +80,14 @@ def _quaternions(message: Message, rows: Sequence[Row], first: bool, more: int) 
         _LOG.info(f"{message.path}: rates are left alone")
     try:
         found = np.array([words[1:5] for _, words in rows], np.float64)
-    except ValueError as error:
-        for line, words in rows:
-            for word in words[1:5]:
-                try:
-                    float(word)
-                except ValueError:
-                    raise InputError(f"{message.at(line)}: found {word!r}, no number") from error
-        raise
+    except ValueError:
+        found = np.full((len(rows), 4), np.nan)
+    if not np.isfinite(found).all():  # which of them, word by word
+        for k, (line, words) in enumerate(rows):
+            try:
+                found[k] = [number(word) for word in words[1:5]]
+            except ValueError as error:
+                raise InputError(f"{message.at(line)}: {error}") from error
     check_quaternions(lambda k: message.at(rows[k][0]), found)
     return found[:, ORDERS["wxyz" if first else "xyzw"]]
 

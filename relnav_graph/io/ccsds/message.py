@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -76,6 +77,18 @@ def scaled(word: str, power: int) -> str:
     """The text of a number times 10^power, exactly: so that km and m lose no bit."""
     mantissa, mark, exponent = word.lower().partition("e")
     return f"{mantissa}e{int(exponent) + power}" if mark else f"{word}e{power}"
+
+
+def number(word: str, power: int = 0) -> float:
+    """A number times 10^power. Raises ValueError on what is none, or not finite."""
+    try:
+        found = float(scaled(word, power))
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        fortran = " (its exponent follows an E, not a D)" if "d" in word.lower() else ""
+        raise ValueError(f"found {word!r}, expected a finite number, as 6.778137E+03{fortran}")
+    return found
 
 
 def unscaled(x: float, power: int) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.axes import BODY, RTN, covariance_turns, frame_of, time_scale, to_gcrf
-from relnav_graph.io.ccsds.message import Entry, Message, Row, Segment, read_message, scaled
+from relnav_graph.io.ccsds.message import Entry, Message, Row, Segment, number, read_message, scaled
 from relnav_graph.io.covariances import from_triangle
 from relnav_graph.io.orbits import check_states
 from relnav_graph.maths.earth import EarthTable
@@ -140,16 +140,12 @@ def _numbers(message: Message, rows: Sequence[Row]) -> Array:
         found = np.array([[scaled(w, 3) for w in words[1:7]] for _, words in rows], np.float64)
     except ValueError:
         found = np.full((len(rows), 6), np.nan)
+    if not np.isfinite(found).all():  # which of them, word by word
         for k, (line, words) in enumerate(rows):
             try:
-                found[k] = [float(scaled(w, 3)) for w in words[1:7]]
+                found[k] = [number(w, 3) for w in words[1:7]]
             except ValueError as error:
-                text = " ".join(words)[:80]
-                raise InputError(f"{message.at(line)}: found {text!r}: {error}") from error
-    bad = ~np.isfinite(found).all(axis=1)
-    if bad.any():
-        line = rows[int(np.argmax(bad))][0]
-        raise InputError(f"{message.at(line)}: found a number that is not finite")
+                raise InputError(f"{message.at(line)}: {error}") from error
     return found
 
 
@@ -172,7 +168,7 @@ def _covariances(
     for m, one in enumerate(found):
         where = message.at(one.line)
         try:
-            numbers[m] = [float(scaled(w, 6)) for w in one.words]
+            numbers[m] = [number(w, 6) for w in one.words]
             when = calendar(one.epoch, scale)
         except (InputError, ValueError) as error:
             raise InputError(f"{where}: of a covariance: {error}") from error
