@@ -204,7 +204,7 @@ def scores(found: Comparison) -> str:
     rows = [["", "kind", "ANEES", "status"]]
     for name, one in found.summary["estimators"].items():
         anees = one.get("anees")
-        shown = "-" if anees is None else f"{anees:.3g}"
+        shown = "-" if anees is None else f"{anees:.2f}"
         rows.append([f"`{name}`", str(one.get("kind", "")), shown, str(one.get("status", ""))])
     lines = [rows[0], ["---"] * 4, *rows[1:]]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
