@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -18,10 +18,7 @@ from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.filter_sweep import FilterState, FilterSweep
 from relnav_graph.estimators.first_sights import first_epochs, first_sights
 from relnav_graph.estimators.source import Source, drive
-from relnav_graph.estimators.weights import (
-    losses_of,
-    thresholds,
-)
+from relnav_graph.estimators.weights import losses_of, thresholds
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.filter import (
     FAILURES,
@@ -38,10 +35,12 @@ __all__ = [
     "IteratedEkf",
     "filter_problem",
     "filter_step",
+    "one_step",
     "run_filter",
     "sweep",
 ]
 
+S = TypeVar("S", bound=FilterSweep)
 
 #: Gauss-Newton steps of an iterated update, at most; the same wherever one is made.
 ITERATIONS = 20
@@ -145,13 +144,30 @@ def filter_step(
     """Predict from a state to an epoch and update with its measurements.
 
     assembly: of this epoch, where the caller has it already. The new state is the `end` of
-    what it gives. Raises EstimationError when the state cannot be propagated or updated, or is
-    no longer finite, ModelError when a kernel breaks its contract.
+    what it gives. Raises as `one_step` does.
+    """
+    return one_step(
+        problem, state.t, epoch, assembly, lambda one: run_filter(problem, iterations, one, state)
+    )
+
+
+def one_step(
+    problem: Problem,
+    t: float | None,
+    epoch: Epoch,
+    assembly: Assembly | None,
+    through: Callable[[Assembly], S],
+) -> S:
+    """What a filter at time t, s, makes of the next epoch; None: of the first one.
+
+    through: filters an assembly, from where the filter stands; assembly: of this epoch, where the
+    caller has it already. Raises EstimationError when the state cannot be propagated or updated,
+    or is no longer finite, ModelError when a kernel breaks its contract.
     """
     if assembly is None:
         models = problem.layout, problem.processes, problem.sensors
-        assembly = Assembly(*models, [epoch], t_before=state.t)
-    done = run_filter(problem, iterations, assembly, state)
+        assembly = Assembly(*models, [epoch], t_before=t)
+    done = through(assembly)
     if done.stopped:
         raise EstimationError(done.stopped)
     return done
@@ -196,12 +212,23 @@ class KalmanEngine:
         """At the prior, before the first epoch."""
         return KalmanState(None, self.problem.prior.x, self.problem.prior.P)
 
+    def through(
+        self,
+        assembly: Assembly,
+        start: FilterState | None = None,
+        seconds: list[float] | None = None,
+    ) -> FilterSweep:
+        """Filter the epochs of an assembly, or as many as the filter survives; see `run_filter`."""
+        return run_filter(self.problem, self.iterations, assembly, start, seconds=seconds)
+
     def advance(
         self, state: KalmanState, epoch: Epoch, assembly: Assembly | None = None
     ) -> KalmanState:
-        """Predict and update; see `filter_step`."""
+        """Predict and update; raises as `one_step` does."""
         before = FilterState(state.t, state.x, state.P)
-        done = filter_step(self.problem, self.iterations, before, epoch, assembly)
+        done = one_step(
+            self.problem, state.t, epoch, assembly, lambda one: self.through(one, before)
+        )
         return KalmanState(*done.end, done)
 
     def grown(self, state: KalmanState, before: KalmanEngine) -> KalmanState:

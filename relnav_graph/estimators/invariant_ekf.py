@@ -10,12 +10,11 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.catalogue import RELATIVE_ATTITUDE, RELATIVE_POSITION_T, RELATIVE_VELOCITY_T
-from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track
-from relnav_graph.errors import EstimationError, ModelError
-from relnav_graph.estimators.ekf import KalmanEngine, KalmanState, sweep
+from relnav_graph.errors import ModelError
+from relnav_graph.estimators.ekf import KalmanEngine, sweep
 from relnav_graph.estimators.filter_sweep import FilterState, FilterSweep
 from relnav_graph.estimators.source import Source, drive
 from relnav_graph.linear.assembly import Assembly
@@ -126,19 +125,6 @@ class InvariantEngine(KalmanEngine):
                 at = FilterState(None, out.x[k], out.P[k])
 
         return sweep(self.problem, assembly, steps, start, keep=False, seconds=seconds)
-
-    def advance(
-        self, state: KalmanState, epoch: Epoch, assembly: Assembly | None = None
-    ) -> KalmanState:
-        """Predict and update. Raises EstimationError when the state cannot be propagated or
-        updated, or is no longer finite, ModelError when a kernel breaks its contract."""
-        if assembly is None:
-            models = self.problem.layout, self.problem.processes, self.problem.sensors
-            assembly = Assembly(*models, [epoch], t_before=state.t)
-        done = self.through(assembly, FilterState(state.t, state.x, state.P))
-        if done.stopped:
-            raise EstimationError(done.stopped)
-        return KalmanState(*done.end, done)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Track
-from relnav_graph.errors import EstimationError
-from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, sweep
+from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, one_step, sweep
 from relnav_graph.estimators.rts import smoothed_of
 from relnav_graph.estimators.source import Source, drive
 from relnav_graph.linear.assembly import Assembly
@@ -117,14 +116,10 @@ class UnscentedEngine:
     def advance(
         self, state: UnscentedState, epoch: Epoch, assembly: Assembly | None = None
     ) -> UnscentedState:
-        """Predict and update. Raises EstimationError when the state cannot be propagated or
-        updated, or is no longer finite, ModelError when a kernel breaks its contract."""
-        if assembly is None:
-            models = self.problem.layout, self.problem.processes, self.problem.sensors
-            assembly = Assembly(*models, [epoch], t_before=state.t)
-        done = self.through(assembly, state)
-        if done.stopped:
-            raise EstimationError(done.stopped)
+        """Predict and update; raises as `relnav_graph.estimators.ekf.one_step` does."""
+        done = one_step(
+            self.problem, state.t, epoch, assembly, lambda one: self.through(one, state)
+        )
         return UnscentedState(*done.end, done.R, done)
 
     def grown(self, state: UnscentedState, before: UnscentedEngine) -> UnscentedState:
