@@ -12,6 +12,7 @@ from relnav_graph.core.shown import Shown
 from relnav_graph.core.track import Recording, Track, Truth
 from relnav_graph.estimators import find_estimator, try_estimator
 from relnav_graph.runs.closed_loop import fly_all
+from relnav_graph.runs.conventions import convention_cautions
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.scenario import Scenario
@@ -105,6 +106,9 @@ def compare_pass(
     noise: dict[str, Any] = {}
     if opened.recording.truth is None and not opened.flown:
         tracks, noise = judge_without_truth(opened.problem, tracks)
+    cautions = each[0][0].problem.cautions
+    if not opened.simulated and any(track.status != "ok" for track in tracks):
+        cautions = (*cautions, *convention_cautions(opened))
     found = summary(
         opened.scenario.name,
         opened.seed if opened.simulated else None,
@@ -113,7 +117,7 @@ def compare_pass(
         opened.scenario.derived,
         opened.scenario.window(times),
         len(times),
-        each[0][0].problem.cautions,
+        cautions,
         opened.scenario.scored,
         noise,
     )
