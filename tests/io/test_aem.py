@@ -9,6 +9,7 @@ import erfa
 import numpy as np
 import pytest
 from ccsds import EPOCH, circle, message, track
+from independent import ccsds_aem_apart
 
 from relnav_graph import read_raw, write_track
 from relnav_graph.core.track import Recording
@@ -81,6 +82,10 @@ def test_an_independent_library_reads_the_same_and_we_read_its_files(tmp_path: P
         assert again.epoch == ours.epoch
         np.testing.assert_array_equal(again.t, ours.t)
         np.testing.assert_array_equal(again.q_wxyz, ours.q_wxyz)
+
+
+def test_an_independent_library_reads_a_track_across_a_leap_second(tmp_path: Path) -> None:
+    assert ccsds_aem_apart(track(), EPOCH, tmp_path / "a.aem") < 1e-14
 
 
 def test_which_way_a_quaternion_turns(tmp_path: Path) -> None:

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from against_brahe import eme2000_apart, needs_brahe
 from ccsds import EPOCH, formation, message, track
+from independent import ccsds_oem_apart
 
 from relnav_graph import read_raw, write_track
 from relnav_graph.arrays import Array
@@ -145,6 +147,15 @@ def test_eme2000_is_not_gcrf(tmp_path: Path) -> None:
     expected = np.kron(np.eye(2), bias().T) @ given
     np.testing.assert_allclose(both["EME2000"], expected, rtol=0, atol=1e-5)
     assert 0.7 < np.linalg.norm(both["EME2000"][:3] - given[:3]) < 0.8
+
+
+def test_an_independent_library_reads_a_track_across_a_leap_second(tmp_path: Path) -> None:
+    assert ccsds_oem_apart(track(), EPOCH, tmp_path / "a.oem") < 2e-9
+
+
+@needs_brahe
+def test_the_bias_is_that_of_an_independent_library() -> None:
+    assert eme2000_apart() < 2e-5
 
 
 def test_earth_fixed_states_are_turned(tmp_path: Path) -> None:

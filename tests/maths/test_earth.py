@@ -7,6 +7,7 @@ import logging
 import erfa
 import numpy as np
 import pytest
+from against_brahe import bodies_apart, frames_apart, needs_brahe, tdb_apart, time_apart
 from independent import erfa_frames_apart, erfa_tdb_apart, turning_earth
 
 from relnav_graph.errors import InputError
@@ -40,6 +41,21 @@ def test_time_scales_agree() -> None:
     assert 1e-6 < abs(tdb.since(tt)) < 2e-3
     assert Instant.parse(str(tt.after(0.25))) == tt.after(0.25)
     assert Instant.of(59412, -1.0, "TT") == Instant.parse("2021-07-16T23:59:59 TT")
+
+
+@needs_brahe
+def test_time_scales_are_those_of_an_independent_library() -> None:
+    """Before, in and after every leap second since 1973."""
+    assert time_apart() < 1e-9
+    assert tdb_apart() < 5e-5
+
+
+@needs_brahe
+def test_frames_and_bodies_are_those_of_an_independent_library() -> None:
+    position, velocity = frames_apart()
+    assert position < 1e-7
+    assert velocity < 1e-10
+    assert max(bodies_apart().values()) < 2e-3
 
 
 def test_a_leap_second_is_counted() -> None:

@@ -1,5 +1,5 @@
-"""Harmonics that turn with the Earth, Sun and Moon: against the truth's own formulation and against
-differences; against an independent library see `test_by_brahe`."""
+"""Harmonics that turn with the Earth, Sun and Moon: against the truth's own formulation, against an
+independent library, against differences."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from against_brahe import (
+    coefficients_apart,
+    gravity_apart,
+    needs_brahe,
+    orbits_apart,
+    tides_apart,
+    transition_apart,
+)
 from independent import FIELD, PLACES, pull, sphere
 from relnav_factors.dynamics.orbit_two_body import OrbitTwoBody
 from relnav_factors.dynamics.relative_two_body import RelativeTwoBody
@@ -30,6 +38,37 @@ def test_both_formulations_agree_and_at_the_poles_too(degree: int, order: int) -
         g, _ = pull(r, degree, order)
         # Rounding of the sphere's pull, which the one has and the other has not.
         np.testing.assert_allclose(g, want - sphere(r), rtol=1e-12, atol=1e-13)
+
+
+@needs_brahe
+def test_an_independent_library_gives_the_same() -> None:
+    assert coefficients_apart() == 0.0
+    assert max(gravity_apart(20), gravity_apart(60)) < 5e-14
+    assert tides_apart() < 2e-11
+
+
+@needs_brahe
+@pytest.mark.parametrize("third_bodies", ["none", "ours"])
+def test_orbits_are_those_of_an_independent_library(third_bodies: str) -> None:
+    apart = orbits_apart(third_bodies)
+    assert apart["position"] < 1e-4
+    assert apart["velocity"] < 1e-7
+    assert apart["relative position"] < 1e-5
+    assert apart["relative velocity"] < 1e-8
+    assert apart["true position"] < 1e-4
+
+
+@needs_brahe
+def test_orbits_with_another_sun_and_moon_are_nearly_the_same() -> None:
+    """Series of arcminutes: without any Sun and Moon, 5 m would be missing."""
+    apart = orbits_apart("own")
+    assert max(apart["position"], apart["true position"]) < 2e-2
+    assert apart["relative position"] < 2e-4
+
+
+@needs_brahe
+def test_the_transition_matrix_is_that_of_differences_of_its_orbits() -> None:
+    assert transition_apart() < 1e-8
 
 
 @pytest.mark.parametrize("degree", [2, 3, 4])

@@ -18,6 +18,7 @@ from relnav_factors.shared.harmonics import harmonic_pull, harmonic_table
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from relnav_graph import write_track
 from relnav_graph.arrays import Array
 from relnav_graph.constants import MU_EARTH
 from relnav_graph.core.problem import Problem
@@ -29,7 +30,7 @@ from relnav_graph.maths.earth import EarthTable, gcrf_from_itrf
 from relnav_graph.maths.geopotential import geopotential
 from relnav_graph.maths.instants import Instant
 from relnav_graph.maths.orbit import KeplerOrbit, two_body
-from relnav_graph.runs.graph import Graph
+from relnav_graph.runs.graph import Graph, to_gtsam
 
 # --- time and frames: ERFA ------------------------------------------------------------------
 
@@ -63,7 +64,7 @@ def erfa_frames_apart() -> float:
     return float(max(found))
 
 
-# --- gravity ----------------------------------------------------------------------------------
+# --- gravity, for `against_brahe` -------------------------------------------------------------
 
 FIELD = geopotential()
 #: Low, high, at the equator, near both poles, at one of them.
@@ -191,10 +192,14 @@ def wide_toy() -> Problem:
 
 def _apart(x: Array, P: Array, of: Array, its: Array) -> float:
     """Of a mean in sigmas, and of a covariance as of correlations."""
+    off = np.abs(x - of) / np.sqrt(np.diag(its))
+    return max(float(off.max()), _correlations_apart(P, its))
+
+
+def _correlations_apart(P: Array, its: Array) -> float:
+    """Of a covariance from another, in products of the other's sigmas."""
     sigma = np.sqrt(np.diag(its))
-    return float(
-        max((np.abs(x - of) / sigma).max(), (np.abs(P - its) / np.outer(sigma, sigma)).max())
-    )
+    return float(np.abs((P - its) / np.outer(sigma, sigma)).max())
 
 
 def filterpy_ukf_apart() -> list[float]:
@@ -253,12 +258,6 @@ def far(a: Track, b: Track) -> float:
     return float(np.abs(b.layout.local(b.x, a.x) / sigmas(b.P)).max())
 
 
-def covariances_apart(a: Track, b: Track) -> float:
-    """Largest difference of their covariances at any epoch, as of correlations."""
-    sigma = sigmas(b.P)
-    return float((np.abs(a.P - b.P) / (sigma[:, :, None] * sigma[:, None, :])).max())
-
-
 def levenberg_marquardt(graph: Graph) -> gtsam.Values:
     """As its documentation has it, but for QR."""
     params = gtsam.LevenbergMarquardtParams()
@@ -269,22 +268,79 @@ def levenberg_marquardt(graph: Graph) -> gtsam.Values:
     return gtsam.LevenbergMarquardtOptimizer(graph.factors, graph.values, params).optimize()
 
 
+def at_the_end(online: Track, optimum: Track) -> float:
+    """Of an online estimate at the last epoch, in sigmas of the optimum of all that it has seen."""
+    off = optimum.layout.local(optimum.x[-1], online.x[-1])
+    return float(np.abs(off / sigmas(optimum.P)[-1]).max())
+
+
+def marginals_apart(problem: Problem) -> float:
+    """Covariances of all epochs of `batch` from those of `gtsam.Marginals` at GTSAM's optimum, as
+    correlations. It squares the noises' ratios (Cholesky): only for problems that bear it."""
+    batch, graph = run_estimator("batch", problem), to_gtsam(problem)
+    theirs, found = gtsam.Marginals(graph.factors, levenberg_marquardt(graph)), []
+    for k, P in enumerate(batch.P):
+        keys = graph.keys.at(k, problem.layout.moving)
+        joint = theirs.jointMarginalCovariance(keys)
+        want = np.block([[joint.at(i, j) for j in keys] for i in keys])
+        found.append(_correlations_apart(P, want))
+    return max(found)
+
+
+def dense_covariances_apart(graph: Graph, there: gtsam.Values, batch: Track) -> float:
+    """Covariances of all epochs of `batch` from those that GTSAM's Jacobian of the whole pass has,
+    at its optimum, by NumPy's QR, as correlations. For problems without static blocks."""
+    order, layout = gtsam.Ordering(), batch.layout
+    for k in range(len(batch.t)):
+        for key in graph.keys.at(k, layout):
+            order.push_back(key)
+    A, _ = graph.factors.linearize(there).jacobian(order)
+    scale = np.linalg.norm(A, axis=0)  # QR bears any rows, not any columns
+    half = np.linalg.inv(np.linalg.qr(A / scale, mode="r")) / scale[:, None]
+    of_epochs = half.reshape(len(batch.t), layout.dim, -1)
+    return max(map(_correlations_apart, batch.P, of_epochs @ of_epochs.transpose(0, 2, 1)))
+
+
 # --- files: ccsds-ndm-py ------------------------------------------------------------------------
+
+
+def _late(epochs: list[str], epoch: str, t: Array) -> float:
+    """How far epochs of a file, in UTC, are from times t (N,), s since an epoch in UTC, by ERFA."""
+    found = []
+    for text in (epoch.removesuffix(" UTC"), *epochs):
+        day, clock = text.split("T")
+        fields = [*map(int, day.split("-")), *map(int, clock.split(":")[:2])]
+        found.append(erfa.utctai(*erfa.dtf2d("UTC", *fields, float(clock.split(":")[2]))))
+    tai = np.array(found)
+    return float(np.abs((tai[1:] - tai[0]).sum(axis=1) * 86400 - t).max())
 
 
 def ccsds_oem_apart(one: Track, epoch: str, path: Path) -> float:
     """States that an OEM of ours has for another reader, m and m/s; infinite where its epochs or
-    axes are others."""
+    axes are others. one: a track of the chaser's orbit and attitude."""
     import ccsds_ndm
-
-    from relnav_graph import write_track
-    from relnav_graph.io.ccsds.oem import read_ephemeris
 
     write_track("oem", one, path, epoch=epoch)
     (segment,) = ccsds_ndm.Oem.from_file(str(path)).segments
-    ours = read_ephemeris(path)
-    if [s.epoch for s in segment.data.state_vector] != [
-        line.split()[0] for line in path.read_text("utf-8").splitlines() if line[:1] == "2"
-    ] or segment.metadata.ref_frame != "ICRF":
+    epochs = [state.epoch for state in segment.data.state_vector]
+    if _late(epochs, epoch, one.t) > 1e-9 or segment.metadata.ref_frame != "ICRF":
         return np.inf
-    return float(np.abs(1e3 * segment.data.state_vector_numpy - ours.state).max())
+    state = np.hstack([one.value("chaser_position"), one.value("chaser_velocity")])
+    return float(np.abs(1e3 * segment.data.state_vector_numpy - state).max())
+
+
+def ccsds_aem_apart(one: Track, epoch: str, path: Path) -> float:
+    """Attitudes that an AEM of ours has for another reader and SciPy, as matrices; infinite where
+    its epochs or axes are others."""
+    import ccsds_ndm
+
+    write_track("aem", one, path, epoch=epoch)
+    (segment,) = ccsds_ndm.Aem.from_file(str(path)).segments
+    meta, data = segment.metadata, segment.data
+    epochs = [state.epoch for state in data.attitude_states]
+    axes = (meta.ref_frame_a, meta.ref_frame_b, meta.attitude_type)
+    if _late(epochs, epoch, one.t) > 1e-9 or axes != ("ICRF", "SC_BODY_1", "QUATERNION"):
+        return np.inf
+    # The scalar last, as SciPy has it; from A to B takes components in i to those in c.
+    R_ic = Rotation.from_quat(data.attitude_states_numpy).as_matrix()
+    return float(np.abs(R_ic - one.value("chaser_attitude")).max())
