@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -36,6 +37,7 @@ __all__ = [
     "FilterState",
     "FilterSweep",
     "IteratedEkf",
+    "KalmanFilter",
     "filter_problem",
     "filter_step",
     "run_filter",
@@ -49,6 +51,17 @@ ITERATIONS = 20
 
 #: Does epochs k to end - 1, from a state, to be linearised a step ahead first: of `sweep`.
 Steps = Callable[[FilterInput, int, int, FilterState, Array, FilterOutput, Indices], None]
+
+
+class _At(Protocol):
+    """Where a filter stands: t, s, of its newest epoch, None before the first."""
+
+    @property
+    def t(self) -> float | None: ...
+
+
+At = TypeVar("At", bound=_At)
+Done = TypeVar("Done", bound=FilterSweep)
 
 
 def sweep(
@@ -135,6 +148,27 @@ def run_filter(
     return sweep(problem, assembly, steps, start, keep, seconds)
 
 
+def advanced(
+    problem: Problem,
+    state: At,
+    epoch: Epoch,
+    assembly: Assembly | None,
+    through: Callable[[Assembly, At], Done],
+) -> Done:
+    """What a filter leaves that goes `through` one more epoch from a state.
+
+    assembly: of this epoch, where the caller has it already. Raises EstimationError when the state
+    cannot be propagated or updated, or is no longer finite, ModelError when a kernel breaks its
+    contract.
+    """
+    if assembly is None:
+        assembly = Assembly.ahead(problem, epoch, state.t)
+    done = through(assembly, state)
+    if done.stopped:
+        raise EstimationError(done.stopped)
+    return done
+
+
 def filter_step(
     problem: Problem,
     iterations: int,
@@ -144,17 +178,9 @@ def filter_step(
 ) -> FilterSweep:
     """Predict from a state to an epoch and update with its measurements.
 
-    assembly: of this epoch, where the caller has it already. The new state is the `end` of
-    what it gives. Raises EstimationError when the state cannot be propagated or updated, or is
-    no longer finite, ModelError when a kernel breaks its contract.
+    The new state is the `end` of what it gives. assembly, and what it raises: as of `advanced`.
     """
-    if assembly is None:
-        models = problem.layout, problem.processes, problem.sensors
-        assembly = Assembly(*models, [epoch], t_before=state.t)
-    done = run_filter(problem, iterations, assembly, state)
-    if done.stopped:
-        raise EstimationError(done.stopped)
-    return done
+    return advanced(problem, state, epoch, assembly, partial(run_filter, problem, iterations))
 
 
 def _why(assembly: Assembly, failure: Indices) -> str:
@@ -196,12 +222,22 @@ class KalmanEngine:
         """At the prior, before the first epoch."""
         return KalmanState(None, self.problem.prior.x, self.problem.prior.P)
 
+    def through(
+        self, assembly: Assembly, start: KalmanState, seconds: list[float] | None = None
+    ) -> FilterSweep:
+        """Filter the epochs of an assembly, or as many as the filter survives.
+
+        seconds: gets the time of each epoch, s. Raises ModelError when a kernel breaks its
+        contract.
+        """
+        at = FilterState(start.t, start.x, start.P)
+        return run_filter(self.problem, self.iterations, assembly, at, False, seconds)
+
     def advance(
         self, state: KalmanState, epoch: Epoch, assembly: Assembly | None = None
     ) -> KalmanState:
-        """Predict and update; see `filter_step`."""
-        before = FilterState(state.t, state.x, state.P)
-        done = filter_step(self.problem, self.iterations, before, epoch, assembly)
+        """Predict and update. Raises as `advanced`."""
+        done = advanced(self.problem, state, epoch, assembly, self.through)
         return KalmanState(*done.end, done)
 
     def grown(self, state: KalmanState, before: KalmanEngine) -> KalmanState:
@@ -227,8 +263,47 @@ def filter_problem(
     return run_filter(problem, iterations, assembly, None, keep, seconds)
 
 
+class Filters(Protocol):
+    """An engine that can also go through many epochs at once, from the state that it begins at."""
+
+    def begin(self) -> Any: ...
+    def advance(self, state: Any, epoch: Epoch, assembly: Assembly | None = None) -> Any: ...
+    def through(
+        self, assembly: Assembly, start: Any, seconds: list[float] | None = None
+    ) -> FilterSweep: ...
+
+
+class KalmanFilter:
+    """What the filters share; each says by which engine it goes."""
+
+    kind: ClassVar[str]
+
+    def engine(self, problem: Problem) -> Filters:
+        """For use online."""
+        raise NotImplementedError
+
+    def drive(self, source: Source) -> Track:
+        """Filter epochs as they come."""
+        driven = drive(source, self.engine(source.problem))
+        # The same steps once more, in one compiled call, keep all that a track (and a smoother)
+        # tells of them, and say why they stopped where they did.
+        track = self.run(driven.problem)
+        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
+
+    def run(self, problem: Problem) -> Track:
+        """Filter the whole pass. Raises as `engine`."""
+        return self.filtered(problem)[0]
+
+    def filtered(self, problem: Problem) -> tuple[Track, FilterSweep]:
+        """The track of the whole pass, and all that the filter left. Raises as `engine`."""
+        start, seconds, engine = time.perf_counter(), list[float](), self.engine(problem)
+        done = engine.through(Assembly.of(problem), engine.begin(), seconds)
+        track = done.track(self.kind, problem, seconds)
+        return replace(track, runtime_s=time.perf_counter() - start), done
+
+
 @dataclass(frozen=True)
-class Ekf:
+class Ekf(KalmanFilter):
     """Extended Kalman filter: error state on the manifold, updated by a QR decomposition.
 
     iterations: Gauss-Newton steps of each measurement update. Considered blocks have no gain, and
@@ -241,21 +316,6 @@ class Ekf:
     def engine(self, problem: Problem) -> KalmanEngine:
         """For use online."""
         return KalmanEngine(problem, self.iterations)
-
-    def drive(self, source: Source) -> Track:
-        """Filter epochs as they come."""
-        driven = drive(source, self.engine(source.problem))
-        # The same steps once more, in one compiled call, keep all that a track tells of them, and
-        # say why they stopped where they did.
-        track = self.run(driven.problem)
-        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
-
-    def run(self, problem: Problem) -> Track:
-        """Filter the whole pass."""
-        start, seconds = time.perf_counter(), list[float]()
-        done = filter_problem(problem, self.iterations, keep=False, seconds=seconds)
-        track = done.track(self.kind, problem, seconds)
-        return replace(track, runtime_s=time.perf_counter() - start)
 
 
 @dataclass(frozen=True)

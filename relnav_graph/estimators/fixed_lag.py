@@ -90,7 +90,7 @@ class FixedLagEngine:
         """
         p = self.problem
         if assembly is None:
-            assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
+            assembly = Assembly.ahead(p, epoch, state.t)
         if state.turned < BEGUN and has_map(p.layout):
             return self._beginning(state, epoch, assembly)
         # Where to start from, and what the gate rejects.
@@ -278,8 +278,7 @@ class FixedLagEngine:
             P=a["P"],
             epochs=tuple(epochs),
             parts=tuple(
-                Assembly(p.layout, p.processes, p.sensors, [epoch], t)
-                for epoch, t in zip(epochs, before, strict=False)
+                Assembly.ahead(p, epoch, t) for epoch, t in zip(epochs, before, strict=False)
             ),
             weights=tuple(a[f"weights.{k}"] for k in range(len(epochs))),
             turned=float(a["turned"]),

@@ -71,7 +71,7 @@ class Beginning:
         """Predict the prior to an epoch's time."""
         if self.t is not None:
             p, ahead = self.problem, Epoch(epoch.t, (), epoch.inputs)
-            assembly = Assembly(p.layout, p.processes, p.sensors, [ahead], self.t)
+            assembly = Assembly.ahead(p, ahead, self.t)
             self.problem = replace(p, prior=Prior(*assembly.predict(p.prior.x, p.prior.P)))
         self.t = epoch.t
 
