@@ -23,8 +23,9 @@ from __future__ import annotations
 
 import difflib
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -38,13 +39,15 @@ from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.io.clocks import Clock
 from relnav_graph.io.covariances import sigmas_of
 from relnav_graph.io.known import Known
-from relnav_graph.io.poses import QUATERNION, Motion, quaternions
+from relnav_graph.io.lines import Rows, rising
+from relnav_graph.io.poses import QUATERNION, Motion, Where, quaternions
 from relnav_graph.io.truth import at_epochs, block_like
 from relnav_graph.units import column_unit
 
-__all__ = ["SAMPLES", "Collected", "Roles", "check_role", "given_columns", "wrong_sensor"]
+__all__ = ["SAMPLES", "Collected", "Roles", "check_role", "given_columns", "poses", "wrong_sensor"]
 
 _LOG = logging.getLogger(__name__)
 SAMPLES = ("mean", "instant")
@@ -331,6 +334,28 @@ class Collected:
                 columns = [np.interp(t, one.t[known], s[known]) for s in one.sigma.T]
                 sigmas[name] = np.column_stack(columns)
         return Truth(t, values, self.source, sigmas)
+
+
+def poses(
+    known: Known,
+    roles: Roles,
+    rows: Rows,
+    clock: Clock,
+    stamps: Sequence[Decimal],
+    pose: Callable[[Where, Array], tuple[Array, Array]],
+) -> Recording:
+    """What the poses of one table are by their roles.
+
+    stamps: of the rows, by a clock; pose: position (N, 3), m, and attitude (N, 3, 3) of the rows'
+    values. Raises InputError on times that do not rise, and as `Collected.add` and `pose` do.
+    """
+    begin = clock.begin(rows.where(0), min(stamps))
+    t = clock.seconds(stamps, begin)
+    rising(rows.where, t)
+    r, R = pose(rows.where, rows.values)
+    found = Collected(known, rows.path.name)
+    found.add(Motion(t, {"position": r, "attitude": R}, rows.where), roles)
+    return found.recording(clock.settings(begin))
 
 
 def _value(motion: Motion, quantity: str, where: str) -> Array:

@@ -20,6 +20,7 @@ __all__ = [
     "ORDERS",
     "QUATERNION",
     "Motion",
+    "Where",
     "check_quaternions",
     "from_matrices",
     "from_mrp",
