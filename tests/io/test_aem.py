@@ -205,7 +205,7 @@ def test_what_a_track_and_a_table_lack(tmp_path: Path) -> None:
             {"block": "chaser_position"},
             "option block: found 'chaser_position', expected an attitude of",
         ),
-        ({"frame": "TOD"}, "found frame 'TOD'"),
+        ({"frame": "TOD"}, "found the frame 'TOD', .*: convert with"),
         ({"orbital": True}, "found no orbit of the target"),
     ):
         with pytest.raises(InputError, match=says):

@@ -18,15 +18,13 @@ from relnav_graph.core.absolute_time import AbsoluteTime
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.aem import read_attitudes
-from relnav_graph.io.ccsds.oem import EARTH, Ephemeris, read_ephemeris
+from relnav_graph.io.ccsds.oem import EARTH, Ephemeris, read_ephemeris, taken_part
 from relnav_graph.io.ccsds.target import orbit_recording, states_at
 from relnav_graph.io.covariances import sigmas_of
 from relnav_graph.io.declared import Collected, check_role, given_columns
 from relnav_graph.io.known import Known
-from relnav_graph.io.orbits import part_of
 from relnav_graph.io.poses import QUATERNION
 from relnav_graph.maths.frames import rtn_axes, to_rtn
-from relnav_graph.maths.instants import moved
 
 __all__ = ["FILES", "SUFFIXES", "read"]
 
@@ -76,12 +74,12 @@ def read(
     check_role(path, "orbits", role, _ROLES)
     table = AbsoluteTime("2000-01-01T00:00:00 TT", orientation).table if orientation else None
     own = read_ephemeris(path, object, table)
-    t, taken = _taken(own, start, duration)
+    part = own.epoch, own.t, own.useable, start, duration
+    t, taken, settings = taken_part(path, "state", *part)
     other = known.target
     if target:
         orbit = read_ephemeris(path.parent / target, target_object, table, "target_object")
         other = orbit_recording(orbit)
-    settings = {"time": {"epoch": str(own.epoch.after(float(own.t[taken][0])))}}
     if role == "target":
         return orbit_recording(own)
     states = _relative(own, taken, other, known.orbital)
@@ -138,17 +136,6 @@ def _of_rows(P: dict[tuple[str, ...], Array], columns: tuple[str, ...]) -> Array
             for j, b in there:
                 R[:, i, j] = own[:, a, b]
     return R
-
-
-def _taken(own: Ephemeris, start: float, duration: float | None) -> tuple[Array, Any]:
-    """Times (M,), s since the first that is taken, and which rows (N,) these are."""
-    taken = own.useable.copy()
-    if not taken.any():
-        raise InputError(f"{own.path}: found no state in the useable time")
-    if start or duration is not None:
-        taken[taken] = part_of(own.t[taken], start, duration)
-    t = own.t[taken]
-    return moved(t, -round(float(t[0]) * 1e9)), taken
 
 
 def _relative(
