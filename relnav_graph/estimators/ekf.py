@@ -13,6 +13,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.packing import packed_time, time_in
 from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, GeometryError
@@ -247,12 +248,12 @@ class KalmanEngine:
 
     def save(self, state: KalmanState) -> dict[str, Array]:
         """t (NaN before the first epoch), x, P."""
-        return {"t": np.array(np.nan if state.t is None else state.t), "x": state.x, "P": state.P}
+        return {"t": packed_time(state.t), "x": state.x, "P": state.P}
 
     def load(self, arrays: Mapping[str, Array]) -> KalmanState:
         """The state again."""
-        t = float(arrays["t"])
-        return KalmanState(None if np.isnan(t) else t, np.array(arrays["x"]), np.array(arrays["P"]))
+        t, x, P = (np.array(arrays[name]) for name in ("t", "x", "P"))
+        return KalmanState(time_in(t), x, P)
 
 
 def filter_problem(

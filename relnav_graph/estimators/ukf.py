@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.packing import packed_time, time_in
 from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Track
 from relnav_graph.estimators.ekf import (
@@ -135,13 +136,12 @@ class UnscentedEngine:
 
     def save(self, state: UnscentedState) -> dict[str, Array]:
         """t (NaN before the first epoch), x, P, R."""
-        t = np.array(np.nan if state.t is None else state.t)
-        return {"t": t, "x": state.x, "P": state.P, "R": state.R}
+        return {"t": packed_time(state.t), "x": state.x, "P": state.P, "R": state.R}
 
     def load(self, arrays: Mapping[str, Array]) -> UnscentedState:
         """The state again."""
         t, x, P, R = (np.array(arrays[name]) for name in ("t", "x", "P", "R"))
-        return UnscentedState(None if np.isnan(t) else float(t), x, P, R)
+        return UnscentedState(time_in(t), x, P, R)
 
 
 @dataclass(frozen=True)
