@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -17,7 +18,7 @@ from relnav_graph.cli.shared import (
 )
 from relnav_graph.runs.comparison import compare_pass
 from relnav_graph.runs.outputs import write_outputs
-from relnav_graph.runs.passes import open_pass
+from relnav_graph.runs.passes import Pass, open_pass
 
 
 @click.command("compare")
@@ -51,7 +52,20 @@ def command(
     check_before_work(kinds, out)
     show_events()
     opened = open_pass(scenario, seed, data, assignments, number, loops=True)
-    drawn = drawing(draw, formats, kinds or opened.scenario.file.estimators, ("svg", "png"))
+    return compared(opened, kinds or opened.scenario.file.estimators, out, draw, formats, as_json)
+
+
+def compared(
+    opened: Pass,
+    kinds: Sequence[str],
+    out: Path | None,
+    draw: Sequence[str],
+    formats: Sequence[str],
+    as_json: bool,
+) -> int:
+    """Run estimators on a pass that is open, print their scores and write all into a folder, if one
+    is named; the exit code."""
+    drawn = drawing(draw, formats, kinds, ("svg", "png"))
     found = compare_pass(opened, kinds, show_progress)
     try:
         if out is not None:

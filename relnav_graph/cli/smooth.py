@@ -6,17 +6,8 @@ from pathlib import Path
 
 import click
 
-from relnav_graph.cli.shared import (
-    check_before_work,
-    command_line,
-    drawing,
-    drawing_options,
-    report,
-    show_events,
-    show_progress,
-)
-from relnav_graph.runs.comparison import compare_pass
-from relnav_graph.runs.outputs import write_outputs
+from relnav_graph.cli.compare import compared
+from relnav_graph.cli.shared import check_before_work, drawing_options, show_events
 from relnav_graph.runs.passes import open_dataset
 
 
@@ -44,11 +35,4 @@ def command(
     check_before_work(kinds, out)
     show_events()
     opened = open_dataset(dataset, assignments, trust)
-    drawn = drawing(draw, formats, kinds or ("batch",), ("svg", "png"))
-    found = compare_pass(opened, kinds or ("batch",), show_progress)
-    try:
-        show_progress(f"writing {out} ...")
-        write_outputs(out, opened, found, command_line(), drawn)
-    finally:  # what was estimated is told even where it could not be written
-        code = report(found.summary, as_json)
-    return code
+    return compared(opened, kinds or ("batch",), out, draw, formats, as_json)

@@ -14,7 +14,16 @@ from relnav_graph.core.manoeuvres import THRUST_COLUMNS
 from relnav_graph.core.measurement import SAME_TIME, Measurement
 from relnav_graph.errors import InputError
 
-__all__ = ["held", "merged", "pack", "under", "unpack", "without_repeats"]
+__all__ = [
+    "held",
+    "merged",
+    "pack",
+    "packed_time",
+    "time_in",
+    "under",
+    "unpack",
+    "without_repeats",
+]
 
 #: What was left out: sensor, time, ids.
 Repeats = list[tuple[str, float, tuple[int, ...]]]
@@ -129,6 +138,16 @@ def pack(epochs: Sequence[Epoch]) -> dict[str, Array]:
         for process, u in epoch.inputs.items():
             out[f"{k}.u.{process}"] = np.asarray(u, dtype=np.float64)
     return out
+
+
+def packed_time(t: float | None) -> Array:
+    """The time of the newest epoch, s, as an array (): NaN for None, before the first one."""
+    return np.array(np.nan if t is None else t)
+
+
+def time_in(array: Array) -> float | None:
+    """The time that `packed_time` made an array () of, s."""
+    return None if np.isnan(array) else float(array)
 
 
 def under(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:

@@ -14,7 +14,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME
-from relnav_graph.core.packing import pack, under, unpack
+from relnav_graph.core.packing import pack, packed_time, time_in, under, unpack
 from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track, estimates
@@ -115,7 +115,7 @@ class BatchStartEngine:
     def save(self, state: BatchStarted) -> dict[str, Array]:
         """t (NaN before the first epoch), first, x, P and, within the span, ``epochs.*``: see
         `relnav_graph.core.packing.pack`."""
-        t = np.array(np.nan if state.t is None else state.t)
+        t = packed_time(state.t)
         out = {"t": t, "first": np.array(state.first), "x": state.x, "P": state.P}
         if state.batch is not None:
             out |= {f"epochs.{name}": array for name, array in pack(state.epochs).items()}
@@ -129,7 +129,7 @@ class BatchStartEngine:
                 state = self.advance(state, epoch)
             return state
         t, first, x, P = (np.array(arrays[name]) for name in ("t", "first", "x", "P"))
-        return BatchStarted(float(t), x, P, first=float(first))
+        return BatchStarted(time_in(t), x, P, first=float(first))
 
 
 @dataclass(frozen=True)

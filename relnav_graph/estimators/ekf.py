@@ -5,20 +5,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.packing import packed_time, time_in
 from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Track
 from relnav_graph.errors import EstimationError, GeometryError
 from relnav_graph.estimators.filter_sweep import FilterState, FilterSweep
 from relnav_graph.estimators.first_sights import first_epochs, first_sights
 from relnav_graph.estimators.source import Source, drive
-from relnav_graph.estimators.weights import losses_of, thresholds
+from relnav_graph.estimators.weights import (
+    losses_of,
+    thresholds,
+)
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.filter import (
     FAILURES,
@@ -33,14 +38,13 @@ __all__ = [
     "FilterState",
     "FilterSweep",
     "IteratedEkf",
+    "KalmanFilter",
     "filter_problem",
     "filter_step",
-    "one_step",
     "run_filter",
     "sweep",
 ]
 
-S = TypeVar("S", bound=FilterSweep)
 
 #: Gauss-Newton steps of an iterated update, at most; the same wherever one is made.
 ITERATIONS = 20
@@ -48,6 +52,17 @@ ITERATIONS = 20
 
 #: Does epochs k to end - 1, from a state, to be linearised a step ahead first: of `sweep`.
 Steps = Callable[[FilterInput, int, int, FilterState, Array, FilterOutput, Indices], None]
+
+
+class _At(Protocol):
+    """Where a filter stands: t, s, of its newest epoch, None before the first."""
+
+    @property
+    def t(self) -> float | None: ...
+
+
+At = TypeVar("At", bound=_At)
+Done = TypeVar("Done", bound=FilterSweep)
 
 
 def sweep(
@@ -134,6 +149,27 @@ def run_filter(
     return sweep(problem, assembly, steps, start, keep, seconds)
 
 
+def advanced(
+    problem: Problem,
+    state: At,
+    epoch: Epoch,
+    assembly: Assembly | None,
+    through: Callable[[Assembly, At], Done],
+) -> Done:
+    """What a filter leaves that goes `through` one more epoch from a state.
+
+    assembly: of this epoch, where the caller has it already. Raises EstimationError when the state
+    cannot be propagated or updated, or is no longer finite, ModelError when a kernel breaks its
+    contract.
+    """
+    if assembly is None:
+        assembly = Assembly.ahead(problem, epoch, state.t)
+    done = through(assembly, state)
+    if done.stopped:
+        raise EstimationError(done.stopped)
+    return done
+
+
 def filter_step(
     problem: Problem,
     iterations: int,
@@ -143,34 +179,9 @@ def filter_step(
 ) -> FilterSweep:
     """Predict from a state to an epoch and update with its measurements.
 
-    assembly: of this epoch, where the caller has it already. The new state is the `end` of
-    what it gives. Raises as `one_step` does.
+    The new state is the `end` of what it gives. assembly, and what it raises: as of `advanced`.
     """
-    return one_step(
-        problem, state.t, epoch, assembly, lambda one: run_filter(problem, iterations, one, state)
-    )
-
-
-def one_step(
-    problem: Problem,
-    t: float | None,
-    epoch: Epoch,
-    assembly: Assembly | None,
-    through: Callable[[Assembly], S],
-) -> S:
-    """What a filter at time t, s, makes of the next epoch; None: of the first one.
-
-    through: filters an assembly, from where the filter stands; assembly: of this epoch, where the
-    caller has it already. Raises EstimationError when the state cannot be propagated or updated,
-    or is no longer finite, ModelError when a kernel breaks its contract.
-    """
-    if assembly is None:
-        models = problem.layout, problem.processes, problem.sensors
-        assembly = Assembly(*models, [epoch], t_before=t)
-    done = through(assembly)
-    if done.stopped:
-        raise EstimationError(done.stopped)
-    return done
+    return advanced(problem, state, epoch, assembly, partial(run_filter, problem, iterations))
 
 
 def _why(assembly: Assembly, failure: Indices) -> str:
@@ -213,22 +224,21 @@ class KalmanEngine:
         return KalmanState(None, self.problem.prior.x, self.problem.prior.P)
 
     def through(
-        self,
-        assembly: Assembly,
-        start: FilterState | None = None,
-        seconds: list[float] | None = None,
+        self, assembly: Assembly, start: KalmanState, seconds: list[float] | None = None
     ) -> FilterSweep:
-        """Filter the epochs of an assembly, or as many as the filter survives; see `run_filter`."""
-        return run_filter(self.problem, self.iterations, assembly, start, seconds=seconds)
+        """Filter the epochs of an assembly, or as many as the filter survives.
+
+        seconds: gets the time of each epoch, s. Raises ModelError when a kernel breaks its
+        contract.
+        """
+        at = FilterState(start.t, start.x, start.P)
+        return run_filter(self.problem, self.iterations, assembly, at, False, seconds)
 
     def advance(
         self, state: KalmanState, epoch: Epoch, assembly: Assembly | None = None
     ) -> KalmanState:
-        """Predict and update; raises as `one_step` does."""
-        before = FilterState(state.t, state.x, state.P)
-        done = one_step(
-            self.problem, state.t, epoch, assembly, lambda one: self.through(one, before)
-        )
+        """Predict and update. Raises as `advanced`."""
+        done = advanced(self.problem, state, epoch, assembly, self.through)
         return KalmanState(*done.end, done)
 
     def grown(self, state: KalmanState, before: KalmanEngine) -> KalmanState:
@@ -238,12 +248,12 @@ class KalmanEngine:
 
     def save(self, state: KalmanState) -> dict[str, Array]:
         """t (NaN before the first epoch), x, P."""
-        return {"t": np.array(np.nan if state.t is None else state.t), "x": state.x, "P": state.P}
+        return {"t": packed_time(state.t), "x": state.x, "P": state.P}
 
     def load(self, arrays: Mapping[str, Array]) -> KalmanState:
         """The state again."""
-        t = float(arrays["t"])
-        return KalmanState(None if np.isnan(t) else t, np.array(arrays["x"]), np.array(arrays["P"]))
+        t, x, P = (np.array(arrays[name]) for name in ("t", "x", "P"))
+        return KalmanState(time_in(t), x, P)
 
 
 def filter_problem(
@@ -254,8 +264,47 @@ def filter_problem(
     return run_filter(problem, iterations, assembly, None, keep, seconds)
 
 
+class Filters(Protocol):
+    """An engine that can also go through many epochs at once, from the state that it begins at."""
+
+    def begin(self) -> Any: ...
+    def advance(self, state: Any, epoch: Epoch, assembly: Assembly | None = None) -> Any: ...
+    def through(
+        self, assembly: Assembly, start: Any, seconds: list[float] | None = None
+    ) -> FilterSweep: ...
+
+
+class KalmanFilter:
+    """What the filters share; each says by which engine it goes."""
+
+    kind: ClassVar[str]
+
+    def engine(self, problem: Problem) -> Filters:
+        """For use online."""
+        raise NotImplementedError
+
+    def drive(self, source: Source) -> Track:
+        """Filter epochs as they come."""
+        driven = drive(source, self.engine(source.problem))
+        # The same steps once more, in one compiled call, keep all that a track (and a smoother)
+        # tells of them, and say why they stopped where they did.
+        track = self.run(driven.problem)
+        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
+
+    def run(self, problem: Problem) -> Track:
+        """Filter the whole pass. Raises as `engine`."""
+        return self.filtered(problem)[0]
+
+    def filtered(self, problem: Problem) -> tuple[Track, FilterSweep]:
+        """The track of the whole pass, and all that the filter left. Raises as `engine`."""
+        start, seconds, engine = time.perf_counter(), list[float](), self.engine(problem)
+        done = engine.through(Assembly.of(problem), engine.begin(), seconds)
+        track = done.track(self.kind, problem, seconds)
+        return replace(track, runtime_s=time.perf_counter() - start), done
+
+
 @dataclass(frozen=True)
-class Ekf:
+class Ekf(KalmanFilter):
     """Extended Kalman filter: error state on the manifold, updated by a QR decomposition.
 
     iterations: Gauss-Newton steps of each measurement update. Considered blocks have no gain, and
@@ -268,21 +317,6 @@ class Ekf:
     def engine(self, problem: Problem) -> KalmanEngine:
         """For use online."""
         return KalmanEngine(problem, self.iterations)
-
-    def drive(self, source: Source) -> Track:
-        """Filter epochs as they come."""
-        driven = drive(source, self.engine(source.problem))
-        # The same steps once more, in one compiled call, keep all that a track tells of them, and
-        # say why they stopped where they did.
-        track = self.run(driven.problem)
-        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
-
-    def run(self, problem: Problem) -> Track:
-        """Filter the whole pass."""
-        start, seconds = time.perf_counter(), list[float]()
-        done = filter_problem(problem, self.iterations, keep=False, seconds=seconds)
-        track = done.track(self.kind, problem, seconds)
-        return replace(track, runtime_s=time.perf_counter() - start)
 
 
 @dataclass(frozen=True)

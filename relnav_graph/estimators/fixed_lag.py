@@ -28,7 +28,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
 from relnav_graph.core.measurement import SAME_TIME
-from relnav_graph.core.packing import pack, under, unpack
+from relnav_graph.core.packing import pack, packed_time, time_in, under, unpack
 from relnav_graph.core.problem import Problem, lengthened, padded
 from relnav_graph.core.track import Track, estimates
 from relnav_graph.errors import EstimationError
@@ -90,7 +90,7 @@ class FixedLagEngine:
         """
         p = self.problem
         if assembly is None:
-            assembly = Assembly(p.layout, p.processes, p.sensors, [epoch], state.t)
+            assembly = Assembly.ahead(p, epoch, state.t)
         if state.turned < BEGUN and has_map(p.layout):
             return self._beginning(state, epoch, assembly)
         # Where to start from, and what the gate rejects.
@@ -250,8 +250,7 @@ class FixedLagEngine:
         where the states are linearised; ``weights.k`` (observations,); before (1,), s: start of the
         first interval, (0,) without one; ``epochs.*``: see `relnav_graph.core.packing.pack`.
         """
-        t = np.array(np.nan if state.t is None else state.t)
-        a = state.anchor
+        t, a = packed_time(state.t), state.anchor
         out = {"t": t, "W": a.W, "d": a.d, "anchor": a.x, "x": state.x, "P": state.P}
         if state.chain is not None:
             out["chain"] = state.chain.x
@@ -272,14 +271,13 @@ class FixedLagEngine:
                 window = self.advance(window, epoch)
             return window
         window = Window(
-            t=None if np.isnan(a["t"]) else float(a["t"]),
+            t=time_in(a["t"]),
             anchor=Anchor(a["anchor"], a["W"], a["d"]),
             x=a["x"],
             P=a["P"],
             epochs=tuple(epochs),
             parts=tuple(
-                Assembly(p.layout, p.processes, p.sensors, [epoch], t)
-                for epoch, t in zip(epochs, before, strict=False)
+                Assembly.ahead(p, epoch, t) for epoch, t in zip(epochs, before, strict=False)
             ),
             weights=tuple(a[f"weights.{k}"] for k in range(len(epochs))),
             turned=float(a["turned"]),

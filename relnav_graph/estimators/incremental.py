@@ -134,8 +134,7 @@ class IncrementalSmoother:
         """
         problem, s = self.problem, self.state
         if assembly is None:
-            layout, models = problem.layout, (problem.processes, problem.sensors)
-            assembly = Assembly(layout, *models, [epoch], s.t)
+            assembly = Assembly.ahead(problem, epoch, s.t)
         # Where the epoch is linearised: an iterated filter's estimate. Of a map without depths, all
         # epochs are linearised anew until the target's motion is known.
         iterations = 1 if self.no_depth else ITERATIONS

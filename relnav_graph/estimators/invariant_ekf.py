@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -12,11 +11,9 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.catalogue import RELATIVE_ATTITUDE, RELATIVE_POSITION_T, RELATIVE_VELOCITY_T
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.state import Layout
-from relnav_graph.core.track import Track
 from relnav_graph.errors import ModelError
-from relnav_graph.estimators.ekf import KalmanEngine, sweep
+from relnav_graph.estimators.ekf import KalmanEngine, KalmanFilter, KalmanState, sweep
 from relnav_graph.estimators.filter_sweep import FilterState, FilterSweep
-from relnav_graph.estimators.source import Source, drive
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.filter import FilterInput, FilterOutput, filter_epochs
 from relnav_graph.maths import so3
@@ -94,16 +91,9 @@ class InvariantEngine(KalmanEngine):
         self.error = GroupError(problem.layout)
 
     def through(
-        self,
-        assembly: Assembly,
-        start: FilterState | None = None,
-        seconds: list[float] | None = None,
+        self, assembly: Assembly, start: KalmanState, seconds: list[float] | None = None
     ) -> FilterSweep:
-        """Filter the epochs of an assembly, or as many as the filter survives.
-
-        start, seconds: as of `relnav_graph.estimators.ekf.run_filter`. Raises ModelError when a
-        kernel breaks its contract.
-        """
+        """As of the extended filter, with this error."""
 
         def steps(
             given: FilterInput,
@@ -124,11 +114,12 @@ class InvariantEngine(KalmanEngine):
                 out.x[k], out.P[k] = found
                 at = FilterState(None, out.x[k], out.P[k])
 
-        return sweep(self.problem, assembly, steps, start, keep=False, seconds=seconds)
+        at = FilterState(start.t, start.x, start.P)
+        return sweep(self.problem, assembly, steps, at, keep=False, seconds=seconds)
 
 
 @dataclass(frozen=True)
-class InvariantEkf:
+class InvariantEkf(KalmanFilter):
     """Extended Kalman filter with the right-invariant error of the pose relative to the target.
 
     Barrau and Bonnabel 2017: of known points, and where gyro and velocity are measured, rows and
@@ -145,17 +136,3 @@ class InvariantEkf:
     def engine(self, problem: Problem) -> InvariantEngine:
         """For use online. Raises as `InvariantEngine` does."""
         return InvariantEngine(problem)
-
-    def drive(self, source: Source) -> Track:
-        """Filter epochs as they come."""
-        driven = drive(source, self.engine(source.problem))
-        # As the ekf: the same steps once more, for all that a track tells of them.
-        track = self.run(driven.problem)
-        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
-
-    def run(self, problem: Problem) -> Track:
-        """Filter the whole pass. Raises as `InvariantEngine` does."""
-        begun, seconds = time.perf_counter(), list[float]()
-        done = self.engine(problem).through(Assembly.of(problem), seconds=seconds)
-        track = done.track(self.kind, problem, seconds)
-        return replace(track, runtime_s=time.perf_counter() - begun)

@@ -135,9 +135,9 @@ class ISAM2Smoother:
         """The state with one more epoch; assembly: of this, where the caller has it already. Raises
         EstimationError when there is none, or the history is too long for the stack."""
         check_depth(state.count + 1)
-        layout, models = self.problem.layout, (self.problem.processes, self.problem.sensors)
+        layout = self.problem.layout
         if assembly is None:
-            assembly = Assembly(layout, *models, [epoch], state.t)
+            assembly = Assembly.ahead(self.problem, epoch, state.t)
         before = FilterState(state.t, state.x, state.P)
         done = filter_step(self.problem, ITERATIONS, before, epoch, assembly)
         try:

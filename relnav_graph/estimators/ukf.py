@@ -12,11 +12,18 @@ from scipy.linalg import block_diag
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.packing import packed_time, time_in
 from relnav_graph.core.problem import Problem, padded
 from relnav_graph.core.track import Track
-from relnav_graph.estimators.ekf import ITERATIONS, FilterState, FilterSweep, one_step, sweep
+from relnav_graph.estimators.ekf import (
+    ITERATIONS,
+    FilterState,
+    FilterSweep,
+    KalmanFilter,
+    advanced,
+    sweep,
+)
 from relnav_graph.estimators.rts import smoothed_of
-from relnav_graph.estimators.source import Source, drive
 from relnav_graph.linear.assembly import Assembly
 from relnav_graph.linear.filter import FilterInput
 from relnav_graph.linear.unscented import unscented_epochs
@@ -116,10 +123,8 @@ class UnscentedEngine:
     def advance(
         self, state: UnscentedState, epoch: Epoch, assembly: Assembly | None = None
     ) -> UnscentedState:
-        """Predict and update; raises as `relnav_graph.estimators.ekf.one_step` does."""
-        done = one_step(
-            self.problem, state.t, epoch, assembly, lambda one: self.through(one, state)
-        )
+        """Predict and update. Raises as `advanced`."""
+        done = advanced(self.problem, state, epoch, assembly, self.through)
         return UnscentedState(*done.end, done.R, done)
 
     def grown(self, state: UnscentedState, before: UnscentedEngine) -> UnscentedState:
@@ -131,17 +136,16 @@ class UnscentedEngine:
 
     def save(self, state: UnscentedState) -> dict[str, Array]:
         """t (NaN before the first epoch), x, P, R."""
-        t = np.array(np.nan if state.t is None else state.t)
-        return {"t": t, "x": state.x, "P": state.P, "R": state.R}
+        return {"t": packed_time(state.t), "x": state.x, "P": state.P, "R": state.R}
 
     def load(self, arrays: Mapping[str, Array]) -> UnscentedState:
         """The state again."""
         t, x, P, R = (np.array(arrays[name]) for name in ("t", "x", "P", "R"))
-        return UnscentedState(None if np.isnan(t) else float(t), x, P, R)
+        return UnscentedState(time_in(t), x, P, R)
 
 
 @dataclass(frozen=True)
-class Ukf:
+class Ukf(KalmanFilter):
     """Unscented Kalman filter: sigma points on the manifold, in square roots.
 
     Points drawn in the tangent of the estimate are carried by the processes and have a mean on the
@@ -174,19 +178,10 @@ class Ukf:
         weights = weights_of(problem.layout.dim, self.alpha, self.beta, self.kappa)
         return UnscentedEngine(problem, weights, self.iterations)
 
-    def drive(self, source: Source) -> Track:
-        """Filter epochs as they come."""
-        driven = drive(source, self.engine(source.problem))
-        # As the ekf: the same steps once more, for all that a track and a smoother want of them.
-        track = self.run(driven.problem)
-        return replace(track, runtime_s=float(driven.step_s.sum()), step_s=driven.step_s)
-
     def run(self, problem: Problem) -> Track:
         """Filter the whole pass, and smooth it."""
-        engine, seconds, begun = self.engine(problem), list[float](), time.perf_counter()
-        done = engine.through(Assembly.of(problem), engine.begin(), seconds)
-        track = done.track(self.kind, problem, seconds)
-        track = replace(track, runtime_s=time.perf_counter() - begun)
+        begun = time.perf_counter()
+        track, done = self.filtered(problem)
         found: dict[str, Any] = {
             "kind": "smoothed",
             "step_s": None,

@@ -12,7 +12,7 @@ from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
 from relnav_graph.io.tabular import Table
 
-__all__ = ["covariance_columns", "covariances_in", "from_triangle", "of_measurements"]
+__all__ = ["covariance_columns", "covariances_in", "from_triangle", "of_measurements", "sigmas_of"]
 
 
 def covariance_columns(rows: int) -> tuple[str, ...]:
@@ -45,10 +45,16 @@ def covariances_in(table: Table, rows: int) -> Array | None:
         table.refuse(~(table[name] > 0), name, "a variance above zero")
     none = np.zeros(len(table.lines))
     found = from_triangle(np.column_stack([table.columns.get(n, none) for n in names]), rows)
-    sigma = np.sqrt(np.einsum("kii->ki", found))
+    sigma = sigmas_of(found)
     scaled = found / (sigma[:, :, None] * sigma[:, None, :])  # rows of any units side by side
     ok = np.linalg.eigvalsh(scaled)[:, 0] > 0
     table.refuse(~ok, "cov_1_1", "the first entry of a positive definite covariance")
+    return found
+
+
+def sigmas_of(P: Array) -> Array:
+    """The sigmas (N, n) of covariances (N, n, n)."""
+    found: Array = np.sqrt(np.einsum("kii->ki", P))
     return found
 
 

@@ -1,6 +1,7 @@
 """What states in a file are to an estimate: truth, measurements or inputs; and the recording.
 
-A file of trajectories holds states, and does not say what they are to be. A reader has it declared:
+A file of trajectories holds states, and does not say what they are to be. A reader has it declared
+(`Roles`):
 
 - ``truth``: blocks, by quantity: ``{ position = "relative_position", attitude =
   "relative_attitude" }``. Of quantities with a covariance it is the truth's own noise.
@@ -13,15 +14,20 @@ A file of trajectories holds states, and does not say what they are to be. A rea
   the mean of an interval is that of both ends.
 - ``inverse = true``: the file has the pose of a in b for that of b in a, see
   `relnav_graph.io.poses`.
+
+A message of CCSDS names its quantities, frames and body itself. What it leaves open is one word,
+``role`` = "truth", "measured" by the ``sensor``, or "target" (`check_role`, `given_columns`).
 """
 
 from __future__ import annotations
 
 import difflib
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,24 +36,26 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.models import derived_quantities
-from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
+from relnav_graph.io.clocks import Clock
+from relnav_graph.io.covariances import sigmas_of
 from relnav_graph.io.known import Known
-from relnav_graph.io.poses import Motion, quaternions
-from relnav_graph.io.truth import at_epochs
+from relnav_graph.io.lines import Rows, rising
+from relnav_graph.io.poses import QUATERNION, Motion, Where, quaternions
+from relnav_graph.io.truth import at_epochs, block_like
 from relnav_graph.units import column_unit
 
-__all__ = ["SAMPLES", "Collected", "Roles"]
+__all__ = ["SAMPLES", "Collected", "Roles", "check_role", "given_columns", "poses", "wrong_sensor"]
 
 _LOG = logging.getLogger(__name__)
 SAMPLES = ("mean", "instant")
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 #: Columns of the sensors, and which quantities of a motion they are, one after the other.
 _COLUMNS: Mapping[tuple[str, ...], str] = {
-    ("x_m", "y_m", "z_m", *_QUATERNION): "pose",
+    ("x_m", "y_m", "z_m", *QUATERNION): "pose",
     ("x_m", "y_m", "z_m"): "position",
-    _QUATERNION: "attitude",
+    QUATERNION: "attitude",
     ("x_m_s", "y_m_s", "z_m_s"): "velocity",
     ("x_rad_s", "y_rad_s", "z_rad_s"): "rate",
 }
@@ -59,6 +67,46 @@ def _named(where: str, found: Any) -> dict[str, str]:
     if not isinstance(found, Mapping) or not all(isinstance(v, str) for v in found.values()):
         raise InputError(f"{where}: found {found!r}, expected names by quantity")
     return dict(found)
+
+
+def check_role(path: Path, what: str, role: str, roles: Mapping[str, str]) -> None:
+    """Raise InputError unless a role is one of those that `what` can have, by name: what it is."""
+    if role not in roles:
+        found = f"found the role {role!r}" if role else "found no role"
+        known = "; ".join(f"{name!r}, {text}" for name, text in roles.items())
+        raise InputError(
+            f"{path}: holds {what}, no measurements: {found}, expected one of: {known}"
+        )
+
+
+def sensor_columns(where: str, name: str, known: Known, hint: str = "") -> tuple[str, ...]:
+    """What a sensor of the scenario measures. Raises InputError on a name that it does not have;
+    hint: what else one may say."""
+    sensor = known.sensors.get(name)
+    if sensor is None:
+        there = ", ".join(known.sensors) or "none"
+        raise InputError(f"{where}: found {name!r}, expected a sensor, one of {there}{hint}")
+    return tuple(sensor.columns)
+
+
+def wrong_sensor(where: str, name: str, columns: Sequence[str], expected: str) -> InputError:
+    """The error of a sensor that measures something else."""
+    measures = ", ".join(columns)
+    return InputError(f"{where}: found {name!r}, which measures {measures}; expected {expected}")
+
+
+def given_columns(path: Path, known: Known, name: str, there: Collection[str]) -> tuple[str, ...]:
+    """The columns of a sensor, all of which must be `there`; of a file that is read without a
+    scenario those of a position or an attitude. Raises InputError otherwise, and without a name."""
+    where = f"{path}: option sensor"
+    if not name:
+        raise InputError(f"{where}: found none: measured by which sensor?")
+    if not known.sensors:
+        return tuple(c for c in there if column_unit(c) != "m/s")
+    columns = sensor_columns(where, name, known)
+    if not set(columns) <= set(there):
+        raise wrong_sensor(where, name, columns, f"a sensor of {', '.join(there)}")
+    return columns
 
 
 @dataclass(frozen=True)
@@ -154,7 +202,7 @@ class Collected:
         motion = motion.inverse() if roles.inverse else motion
         for quantity, block in roles.truth.items():
             value, P = _value(motion, quantity, f"{roles.where}.truth"), motion.covariance(quantity)
-            sigma = None if P is None else np.sqrt(np.einsum("nii->ni", P))
+            sigma = None if P is None else sigmas_of(P)
             self.check_truth(f"{roles.where}.truth.{quantity}", block)
             self.add_truth(f"{roles.where}.truth.{quantity}", block, motion.t, value, sigma)
         for name in roles.sensors:
@@ -168,19 +216,11 @@ class Collected:
 
     def _measures(self, where: str, name: str) -> str:
         """Which quantity a sensor of the scenario measures, by its columns."""
-        sensor = self.known.sensors.get(name)
-        if sensor is None:
-            there = ", ".join(self.known.sensors) or "none"
-            raise InputError(
-                f"{where}.measured: found {name!r}, expected a sensor, one of {there};"
-                ' where it is not known, its quantity beside it, as { pose = "NAME" }'
-            )
-        columns = tuple(sensor.columns)
+        where, able = f"{where}.measured", f"a sensor of a {', '.join(_COLUMNS.values())}"
+        hint = '; where it is not known, its quantity beside it, as { pose = "NAME" }'
+        columns = sensor_columns(where, name, self.known, hint)
         if columns not in _COLUMNS:
-            raise InputError(
-                f"{where}.measured: found {name!r}, which measures {', '.join(columns)};"
-                f" expected a sensor of a {', '.join(_COLUMNS.values())}"
-            )
+            raise wrong_sensor(where, name, columns, able)
         return _COLUMNS[columns]
 
     def _add_measured(self, motion: Motion, quantity: str, name: str, roles: Roles) -> None:
@@ -287,16 +327,35 @@ class Collected:
         t = np.sort(np.concatenate([own, lacking]))
         values, sigmas = dict[str, Array](), dict[str, Array]()
         for name, one in self.truth.items():
-            turns = one.value.ndim == 3
-            block = self.known.blocks.get(name) or Block(
-                name, name, "SO3" if turns else "vector", one.value.shape[-1], "1", "-", "1"
-            )
+            block = self.known.blocks.get(name) or block_like(name, one.value)
             values[name] = at_epochs(f"{self.source}: {name}", block, one.t, one.value, t)
             known = None if one.sigma is None else np.isfinite(one.sigma).all(axis=1)
             if one.sigma is not None and known is not None and known.any():
                 columns = [np.interp(t, one.t[known], s[known]) for s in one.sigma.T]
                 sigmas[name] = np.column_stack(columns)
         return Truth(t, values, self.source, sigmas)
+
+
+def poses(
+    known: Known,
+    roles: Roles,
+    rows: Rows,
+    clock: Clock,
+    stamps: Sequence[Decimal],
+    pose: Callable[[Where, Array], tuple[Array, Array]],
+) -> Recording:
+    """What the poses of one table are by their roles.
+
+    stamps: of the rows, by a clock; pose: position (N, 3), m, and attitude (N, 3, 3) of the rows'
+    values. Raises InputError on times that do not rise, and as `Collected.add` and `pose` do.
+    """
+    begin = clock.begin(rows.where(0), min(stamps))
+    t = clock.seconds(stamps, begin)
+    rising(rows.where, t)
+    r, R = pose(rows.where, rows.values)
+    found = Collected(known, rows.path.name)
+    found.add(Motion(t, {"position": r, "attitude": R}, rows.where), roles)
+    return found.recording(clock.settings(begin))
 
 
 def _value(motion: Motion, quantity: str, where: str) -> Array:

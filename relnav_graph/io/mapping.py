@@ -15,7 +15,14 @@ from relnav_graph.errors import InputError
 from relnav_graph.io.columns import Columns
 from relnav_graph.io.declared import SAMPLES, Collected
 from relnav_graph.io.known import Known
-from relnav_graph.io.poses import ORDERS, from_matrices, from_mrp, from_quaternions, quaternions
+from relnav_graph.io.poses import (
+    ORDERS,
+    QUATERNION,
+    from_matrices,
+    from_mrp,
+    from_quaternions,
+    quaternions,
+)
 from relnav_graph.io.stamp_columns import StampColumn
 from relnav_graph.units import column_unit, si_scale, unit_scale
 
@@ -30,7 +37,6 @@ _KEYS = {
     "truth": (*_COMMON, *_ATTITUDES, "order", "inverse"),
 }
 _CHOICES = {"missing": ("refuse", "skip"), "samples": SAMPLES, "order": tuple(ORDERS)}
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
 def _names(where: str, given: Any) -> list[str]:
@@ -192,7 +198,7 @@ def _units(role: str, name: str, known: Known) -> tuple[list[str | None] | None,
         columns = known.inputs[name]
     else:
         return None, None
-    own = [c for c in columns if c not in _QUATERNION]
+    own = [c for c in columns if c not in QUATERNION]
     return [column_unit(c) for c in own], len(own)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from relnav_graph.arrays import Array, Indices
+from relnav_graph.arrays import Array
 from relnav_graph.errors import InputError
 from relnav_graph.maths.earth import EarthTable, gcrf_from_itrf
 from relnav_graph.maths.instants import Instant
@@ -25,7 +25,10 @@ __all__ = [
     "in_common",
     "in_order",
     "part_of",
+    "relative_truth",
     "roles",
+    "split",
+    "two_orbits",
 ]
 
 DAY = 86400.0
@@ -107,9 +110,25 @@ def roles(folder: Path, orbits: list[Orbit], chaser: str) -> tuple[Orbit, Orbit]
     return one, other
 
 
-def in_common(target: Orbit, craft: Orbit, day: float) -> tuple[Array, Indices, NDArray[np.bool_]]:
-    """Times (N,), s since a day, of the epochs that both have, and which they are: rows (N,) of the
-    target, and whether each of the craft's is one. Raises InputError on fewer than two."""
+def two_orbits(
+    folder: Path, pattern: str, run: str, chaser: str, read: Callable[[Path], Orbit]
+) -> tuple[Orbit, Orbit]:
+    """The orbits of target and chaser, of the two files of a folder that fit a pattern and have
+    `run` in their names; chaser: see `roles`. Raises InputError on fewer or more."""
+    paths = sorted(p for p in folder.glob(pattern) if run in p.name)
+    if len(paths) != 2:
+        hint = "; name the pass by a part of both, data.options.run" if len(paths) > 2 else ""
+        names = ", ".join(p.name for p in paths) or "no file"
+        raise InputError(f"{folder}: found {names}, expected two files {pattern}{hint}")
+    return roles(folder, [read(p) for p in paths], chaser)
+
+
+def in_common(
+    target: Orbit, craft: Orbit, day: float, start: float, duration: float | None
+) -> tuple[Array, Array, Array]:
+    """Times (N,), s since a day, of the epochs that both have, of the part that [data.options]
+    takes (`part_of`), and the states (N, 6) of target and craft then. Raises InputError on fewer
+    than two."""
     t, own = craft.since(day), target.since(day)
     k = np.clip(np.searchsorted(own, t - SAME), 0, len(own) - 1)
     both = np.abs(own[k] - t) <= SAME
@@ -118,7 +137,25 @@ def in_common(target: Orbit, craft: Orbit, day: float) -> tuple[Array, Indices, 
             f"{target.path} and {craft.path}: found {both.sum()} epochs in common, expected two or"
             " more: are they of the same day and time scale?"
         )
-    return t[both], k[both], both
+    part = part_of(t[both], start, duration)
+    return t[both][part], target.state[k[both]][part], craft.state[both][part]
+
+
+def split(state: Array) -> tuple[Array, Array]:
+    """Positions and velocities (N, 3) of states (N, 6), m and m/s."""
+    return np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
+
+
+def relative_truth(target: tuple[Array, Array], craft: tuple[Array, Array]) -> dict[str, Array]:
+    """What two orbits are as the truth, in i, by name: positions (N, 3), m, and velocities (N, 3),
+    m/s, of target and chaser."""
+    (r_t, v_t), (r_c, v_c) = target, craft
+    return {
+        "relative_position": r_c - r_t,
+        "relative_velocity": v_c - v_t,
+        "chaser_position": r_c,
+        "chaser_velocity": v_c,
+    }
 
 
 def part_of(t: Array, start: float, duration: float | None) -> NDArray[np.bool_]:
@@ -149,9 +186,10 @@ def celestial(
 
 def excess(
     path: Path, t: Array, ranges: Array, own: Array, distance: Array, like: bool = True
-) -> Array:
+) -> tuple[Array, Array]:
     """What measured ranges (M,) at t (M,), s, are more than what the orbits say (N,) at own times
-    (N,), s; between measurements linear. Distances are in m, or rates in m/s with `like` False.
+    (N,), s: the mean, as a bias (N, 1), and the rest, as a drift (N, 1); between measurements
+    linear. Distances are in m, or rates in m/s with `like` False.
 
     Raises InputError when none are of one time, or, of distances, are too far from those.
     """
@@ -167,4 +205,5 @@ def excess(
             f" {apart:.6g} m apart (another unit, or another pass?)"
         )
     found: Array = np.interp(own, t[both], more)
-    return found
+    bias = np.full((len(own), 1), found.mean())
+    return bias, found[:, None] - bias

@@ -13,12 +13,11 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import InputSeries, Measurement
-from relnav_graph.core.state import Block
 from relnav_graph.core.track import Recording, Truth, at_all_times
 from relnav_graph.errors import InputError
 from relnav_graph.io.known import Known
 from relnav_graph.io.readers import asks, options_wrong, read_raw
-from relnav_graph.io.truth import at_epochs
+from relnav_graph.io.truth import at_epochs, block_like
 from relnav_graph.maths.instants import Instant, moved
 
 __all__ = ["data_problems", "need_known", "read_data", "target_of"]
@@ -193,13 +192,6 @@ def _epochs(parts: Mapping[str, Recording], merge: float, simulate: bool) -> Arr
     return times
 
 
-def _block(name: str, value: Array) -> Block:
-    """What there is to know of a true value that is of no block of the state: how to interpolate
-    it."""
-    turns = value.ndim == 3
-    return Block(name, name, "SO3" if turns else "vector", value.shape[-1], "1", "-", "1")
-
-
 def _truth(truths: Mapping[str, Truth], known: Known, times: Array) -> Truth:
     """What all parts say is true, at the epochs `times` (N,), s."""
     values: dict[str, Array] = {}
@@ -210,7 +202,7 @@ def _truth(truths: Mapping[str, Truth], known: Known, times: Array) -> Truth:
                 values[name] = at_all_times(value[0], len(times))
             else:
                 there = np.isfinite(value.reshape(len(value), -1)).all(axis=1)
-                block = known.blocks.get(name) or _block(name, value)
+                block = known.blocks.get(name) or block_like(name, value)
                 where = f"{path}: truth of {name}"
                 values[name] = at_epochs(where, block, truth.t[there], value[there], times)
         for name, sigma in truth.sigmas.items():

@@ -24,6 +24,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.files import file_in, read_file
+from relnav_graph.io.poses import QUATERNION
 from relnav_graph.maths import dense, so3
 from relnav_graph.memory import check_room
 
@@ -62,7 +63,7 @@ def component_columns(block: Block) -> tuple[str, ...]:
     """Names of the columns of a block: ``q_w`` to ``q_z`` for an attitude (Hamilton,
     scalar first), ``x_m``, ``y_m``, ``z_m`` for three components, else ``1_m``, ..."""
     if block.manifold == "SO3":
-        return ("q_w", "q_x", "q_y", "q_z")
+        return QUATERNION
     unit = re.sub(r"[^\w]+", "", re.sub(r"[/*]", "_", block.unit))
     axes = "xyz" if block.dim == 3 else [str(i + 1) for i in range(block.dim)]
     return tuple(f"{axis}_{unit}" for axis in axes)

@@ -22,7 +22,7 @@ from relnav_graph.io.tabular import (
     sigma_columns,
 )
 
-__all__ = ["at_epochs", "between", "read_truth"]
+__all__ = ["at_epochs", "between", "block_like", "read_truth"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -77,6 +77,13 @@ def between(block: Block, t: Array, values: Array, times: Array, gap: float | No
         d += weight[:, None] * layout.local(x[k], x[rows[j]])
     out[inside] = layout.retract(x[k], d).reshape(len(k), *values.shape[1:])
     return out
+
+
+def block_like(name: str, value: Array) -> Block:
+    """What there is to know of true values (N, ...) that are of no block of the state: how to
+    interpolate them."""
+    turns = value.ndim == 3
+    return Block(name, name, "SO3" if turns else "vector", value.shape[-1], "1", "-", "1")
 
 
 def _table(folder: Path, block: Block, constant: bool, sort: bool, origin: float) -> Table | None:

@@ -140,6 +140,11 @@ class Assembly:
         models = problem.layout, problem.processes, problem.sensors
         return cls(*models, problem.epochs, checked=True)
 
+    @classmethod
+    def ahead(cls, problem: Problem, epoch: Epoch, t_before: float | None) -> Assembly:
+        """That of one more epoch, with the models of a problem; t_before: s, see the class."""
+        return cls(problem.layout, problem.processes, problem.sensors, [epoch], t_before)
+
     def _stack_observations(self, epochs: Sequence[Epoch], numbers: Collected) -> Indices:
         """The table of observations; their data go to the numbers, sensor by sensor."""
         flat = [(k, m) for k, epoch in enumerate(epochs) for m in epoch.measurements]

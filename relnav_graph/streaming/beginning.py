@@ -14,7 +14,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.packing import merged, pack, under, unpack
+from relnav_graph.core.packing import merged, pack, packed_time, time_in, under, unpack
 from relnav_graph.core.problem import Prior, Problem
 from relnav_graph.core.state import UNIT_QUATERNION, Layout
 from relnav_graph.errors import InputError
@@ -71,7 +71,7 @@ class Beginning:
         """Predict the prior to an epoch's time."""
         if self.t is not None:
             p, ahead = self.problem, Epoch(epoch.t, (), epoch.inputs)
-            assembly = Assembly(p.layout, p.processes, p.sensors, [ahead], self.t)
+            assembly = Assembly.ahead(p, ahead, self.t)
             self.problem = replace(p, prior=Prior(*assembly.predict(p.prior.x, p.prior.P)))
         self.t = epoch.t
 
@@ -79,15 +79,14 @@ class Beginning:
         """As plain arrays by name: the prior's t (), s, NaN before any epoch, x (size,) and P
         (n, n), and the epochs, see `relnav_graph.core.packing.pack`."""
         prior = self.problem.prior
-        t = np.array(np.nan if self.t is None else self.t)
+        t = packed_time(self.t)
         return {"t": t, "x": prior.x, "P": prior.P} | {
             f"epochs.{name}": array for name, array in pack(self.epochs).items()
         }
 
     def load(self, arrays: Mapping[str, Array]) -> None:
         """Restore what `save` made `arrays` of: t (), x (size,), P (n, n) and epochs."""
-        t = float(arrays["t"])
-        self.t = None if np.isnan(t) else t
+        self.t = time_in(arrays["t"])
         self.problem = replace(self.problem, prior=Prior(arrays["x"], arrays["P"]))
         self.epochs = unpack(under(arrays, "epochs."))
 

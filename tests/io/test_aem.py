@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from ccsds import EPOCH, circle, message, track
 from independent import ccsds_aem_apart
+from relnav_factors.sensors.position_fix import PositionFix
+from relnav_factors.sensors.star_tracker import StarTracker
 
 from relnav_graph import read_raw, write_track
 from relnav_graph.core.track import Recording
@@ -173,6 +175,35 @@ def test_what_no_attitude_says_is_refused_with_its_line(
         true(path, **options)
 
 
+@pytest.mark.parametrize(
+    ("reader", "sensor", "says"),
+    [
+        ("aem", "", "option sensor: found none: measured by which"),
+        ("aem", "star", "option sensor: found 'star', expected a sensor, one of stars, fix"),
+        (
+            "aem",
+            "fix",
+            "option sensor: found 'fix', which measures x_m, .*; expected .* q_w",
+        ),
+        ("oem", "star", "option sensor: found 'star', expected a sensor, one of stars, fix"),
+        ("oem", "stars", "option sensor: found 'stars', which measures q_w, .*; expected .* x_m"),
+    ],
+)
+def test_a_sensor_measures_what_the_file_has(
+    tmp_path: Path, reader: str, sensor: str, says: str
+) -> None:
+    known = Known({"stars": StarTracker(sigma=np.ones(3)), "fix": PositionFix(sigma=np.ones(3))})
+    one, path, target = track(), tmp_path / f"a.{reader}", tmp_path / "target.oem"
+    write_track(reader, one, path, epoch=EPOCH)
+    write_track("oem", one, target, epoch=EPOCH, of="target")
+    options = {"role": "measured", "target": str(target)}
+    with pytest.raises(InputError, match=rf"a\.{reader}: {says}"):
+        read_raw(reader, path, options | {"sensor": sensor}, known)
+    right, width = ("stars", 4) if reader == "aem" else ("fix", 3)
+    found = read_raw(reader, path, options | {"sensor": right}, known)
+    assert {(m.sensor, m.z.shape) for m in found.measurements} == {(right, (1, width))}
+
+
 def test_what_a_track_and_a_table_lack(tmp_path: Path) -> None:
     one, path = track(), tmp_path / "a.aem"
     for options, says in (
@@ -180,7 +211,7 @@ def test_what_a_track_and_a_table_lack(tmp_path: Path) -> None:
             {"block": "chaser_position"},
             "option block: found 'chaser_position', expected an attitude of",
         ),
-        ({"frame": "TOD"}, "found frame 'TOD'"),
+        ({"frame": "TOD"}, "found the frame 'TOD', .*: convert with"),
         ({"orbital": True}, "found no orbit of the target"),
     ):
         with pytest.raises(InputError, match=says):

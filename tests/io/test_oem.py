@@ -323,7 +323,7 @@ def test_what_a_track_lacks_and_files_of_others(tmp_path: Path) -> None:
         ({}, r"when is t = 0 of 'one'\? expected epoch ="),
         ({"epoch": "2020-01-01T00:00:00"}, "without a time scale"),
         ({"epoch": EPOCH, "time_system": "UT1"}, "found time_system 'UT1'"),
-        ({"epoch": EPOCH, "frame": "TEME"}, "found frame 'TEME'"),
+        ({"epoch": EPOCH, "frame": "TEME"}, "found the frame 'TEME', .*SGP4"),
         ({"epoch": EPOCH, "of": "moon"}, "found of = 'moon', expected chaser, target or relative"),
         ({"epoch": EPOCH, "covariance": "TNW"}, "found the frame 'TNW'"),
         ({"epoch": EPOCH, "object": "A\nB"}, "expected a text of one line"),

@@ -92,7 +92,7 @@ def reference(pair: RigidBodyPair, times: Array) -> dict[str, Array]:
         return np.concatenate(parts)
 
     span = (0.0, times[-1])
-    y = solve_ivp(derivative, span, y0, "DOP853", times, rtol=1e-13, atol=1e-13).y.T
+    y = solve_ivp(derivative, span, y0, "DOP853", times, rtol=2.3e-14, atol=1e-14).y.T
     frames = [rtn(row[0:3], row[3:6]) for row in y]
     R_oi = np.array([R_io.T for R_io, _ in frames])
     w = np.array([w_oi_o for _, w_oi_o in frames])

@@ -82,8 +82,7 @@ class PublishedEngine(KalmanEngine):
         states by their published errors. Raises EstimationError when that is impossible."""
         p, own = self.problem, self.published
         if assembly is None:
-            models = p.layout, p.processes, p.sensors
-            assembly = Assembly(*models, [epoch], t_before=state.t)
+            assembly = Assembly.ahead(p, epoch, state.t)
         x, P, y = state.x, state.P, own.own(state.x)
         slopes = own.jacobian(y)
         if state.t is not None:

@@ -17,11 +17,11 @@ from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.axes import BODY, RTN, covariance_turns, frame_of, time_scale, to_gcrf
 from relnav_graph.io.ccsds.message import Entry, Message, Row, Segment, number, read_message, scaled
 from relnav_graph.io.covariances import from_triangle
-from relnav_graph.io.orbits import check_states
+from relnav_graph.io.orbits import check_states, part_of
 from relnav_graph.maths.earth import EarthTable
-from relnav_graph.maths.instants import NS, Instant, calendar
+from relnav_graph.maths.instants import NS, Instant, calendar, moved
 
-__all__ = ["Ephemeris", "epochs_of", "read_ephemeris", "segments_of"]
+__all__ = ["Ephemeris", "epochs_of", "read_ephemeris", "segments_of", "taken_part"]
 
 _LOG = logging.getLogger(__name__)
 #: The centre of an orbit that is about no spacecraft.
@@ -124,6 +124,28 @@ def useable(message: Message, segment: Segment, ns: Sequence[int]) -> NDArray[np
     first = _limit(message, segment, "USEABLE_START_TIME", scale)
     last = _limit(message, segment, "USEABLE_STOP_TIME", scale)
     return np.array([(first is None or first <= n) and (last is None or n <= last) for n in ns])
+
+
+def taken_part(
+    path: Path,
+    what: str,
+    epoch: Instant,
+    t: Array,
+    useable: NDArray[np.bool_],
+    start: float,
+    duration: float | None,
+) -> tuple[Array, NDArray[np.bool_], dict[str, Any]]:
+    """Times (M,), s since the first that is taken, which rows (N,) these are, and as settings when
+    the first is: of times t (N,), s since an epoch, the useable ones, and of them what
+    [data.options] takes (`relnav_graph.io.orbits.part_of`). Raises InputError on none."""
+    taken = useable.copy()
+    if not taken.any():
+        raise InputError(f"{path}: found no {what} in the useable time")
+    if start or duration is not None:
+        taken[taken] = part_of(t[taken], start, duration)
+    first = float(t[taken][0])
+    times = moved(t[taken], -round(first * 1e9))
+    return times, taken, {"time": {"epoch": str(epoch.after(first))}}
 
 
 def _numbers(message: Message, rows: Sequence[Row]) -> Array:

@@ -14,7 +14,7 @@ from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.ccsds.oem import read_ephemeris
-from relnav_graph.io.roles import orbit_recording, states_at
+from relnav_graph.io.ccsds.target import orbit_recording, states_at
 from relnav_graph.maths.instants import SCALES, Instant
 
 __all__ = ["begin_of", "finite", "lines_of", "put", "stamps", "target_states"]

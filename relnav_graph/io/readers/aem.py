@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from relnav_graph.core.measurement import Measurement
-from relnav_graph.core.track import Recording, Truth
+from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.aem import read_attitudes
-from relnav_graph.io.ccsds.oem import read_ephemeris
+from relnav_graph.io.ccsds.oem import read_ephemeris, taken_part
+from relnav_graph.io.ccsds.target import orbit_recording, states_at
+from relnav_graph.io.covariances import sigmas_of
+from relnav_graph.io.declared import Collected, check_role, given_columns, wrong_sensor
 from relnav_graph.io.known import Known
-from relnav_graph.io.orbits import part_of
-from relnav_graph.io.roles import check_role, orbit_recording, sensor_columns, states_at
+from relnav_graph.io.poses import QUATERNION
 from relnav_graph.maths import dense, so3
 from relnav_graph.maths.frames import rtn_axes
-from relnav_graph.maths.instants import moved
 
 __all__ = ["FILES", "SUFFIXES", "read"]
 
@@ -65,33 +65,21 @@ def read(
     """
     check_role(path, "attitudes", role, _ROLES)
     own = read_attitudes(path, object)
-    taken = own.useable.copy()
-    if not taken.any():
-        raise InputError(f"{path}: found no attitude in the useable time")
-    if start or duration is not None:
-        taken[taken] = part_of(own.t[taken], start, duration)
-    at = own.t[taken]
-    t, q = moved(at, -round(float(at[0]) * 1e9)), own.q_wxyz[taken]
-    P = own.need_covariance()[taken] if covariance else None
-    settings = {"time": {"epoch": str(own.epoch.after(float(at[0])))}}
+    part = own.epoch, own.t, own.useable, start, duration
+    t, taken, settings = taken_part(path, "attitude", *part)
+    q, P = own.q_wxyz[taken], own.need_covariance()[taken] if covariance else None
+    found = Collected(known, f"attitude of {own.name}, {path.name}")
     if role == "measured":
-        names = ("q_w", "q_x", "q_y", "q_z")
-        if (chosen := sensor_columns(path, known, sensor, names)) != names:
-            raise InputError(f"{path}: sensor {sensor!r} has the columns {', '.join(chosen)}")
-        ids = np.zeros(1, np.int64)
-        measurements = tuple(
-            Measurement(
-                *(sensor, float(s), q[k : k + 1], ids),
-                covariance=None if P is None else P[k : k + 1],
-            )
-            for k, s in enumerate(t)
-        )
-        return Recording(t, measurements, {}, None, settings)
+        if (columns := given_columns(path, known, sensor, QUATERNION)) != QUATERNION:
+            expected = f"a sensor of {', '.join(QUATERNION)}"
+            raise wrong_sensor(f"{path}: option sensor", sensor, columns, expected)
+        found.add_rows(sensor, t, q, covariance=P)
+        return found.recording(settings)
     if block not in (*_IN_O, _RELATIVE) or own.inertial == (block == _RELATIVE):
-        found = "inertial axes" if own.inertial else "axes of a body"
+        axes = "inertial axes" if own.inertial else "axes of a body"
         expected = " or ".join(_IN_O) if own.inertial else _RELATIVE
         raise InputError(
-            f"{path}: found the block {block!r} with {found} as REF_FRAME_A, expected {expected}"
+            f"{path}: found the block {block!r} with {axes} as REF_FRAME_A, expected {expected}"
         )
     R = dense.stacked((so3.from_quaternion(one) for one in np.ascontiguousarray(q)), 3, 3)
     if known.orbital and own.inertial:
@@ -103,7 +91,6 @@ def read(
                 f"{path}: found attitudes in i, but o turns with [orbit]; expected the target's"
                 ' orbit beside them: a part with role = "target"'
             )
-        R = rtn_axes(states_at(orbit, own.epoch, at, path))[0] @ R
-    sigmas = {} if P is None else {block: np.sqrt(np.einsum("nii->ni", P))}
-    truth = Truth(t, {block: R}, f"attitude of {own.name}, {path.name}", sigmas)
-    return Recording(t, (), {}, truth, settings)
+        R = rtn_axes(states_at(orbit, own.epoch, own.t[taken], path))[0] @ R
+    found.add_truth(str(path), block, t, R, None if P is None else sigmas_of(P))
+    return found.recording(settings)

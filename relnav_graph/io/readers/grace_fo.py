@@ -24,8 +24,9 @@ from relnav_graph.io.orbits import (
     check_state,
     in_common,
     in_order,
-    part_of,
-    roles,
+    relative_truth,
+    split,
+    two_orbits,
 )
 from relnav_graph.maths.instants import Instant
 
@@ -92,16 +93,6 @@ def _orbit(path: Path) -> Orbit:
     return orbit
 
 
-def _pair(folder: Path, run: str, chaser: str) -> tuple[Orbit, Orbit]:
-    """The orbits of target and chaser."""
-    paths = sorted(p for p in folder.glob("*.orb") if run in p.name)
-    if len(paths) != 2:
-        hint = "; name the pass by a part of both, data.options.run" if len(paths) > 2 else ""
-        names = ", ".join(p.name for p in paths) or "no file"
-        raise InputError(f"{folder}: found {names}, expected two files *.orb{hint}")
-    return roles(folder, [_orbit(p) for p in paths], chaser)
-
-
 def read(
     folder: Path, run: str = "", chaser: str = "", start: float = 0.0, duration: float | None = None
 ) -> Recording:
@@ -120,20 +111,11 @@ def read(
     Raises InputError, with file and line, on files that are missing, damaged, of another
     frame or time scale, in other units, and when they have no two epochs in common.
     """
-    target, craft = _pair(folder, run, chaser)
+    target, craft = two_orbits(folder, "*.orb", run, chaser, _orbit)
     day = min(target.day[0], craft.day[0])
-    t, k, both = in_common(target, craft, day)
-    part = part_of(t, start, duration)
-    r_c = craft.state[both][part]
-    r_tc = r_c - target.state[k][part]
-    values = {
-        "relative_position": np.ascontiguousarray(r_tc[:, :3]),
-        "relative_velocity": np.ascontiguousarray(r_tc[:, 3:]),
-        "chaser_position": np.ascontiguousarray(r_c[:, :3]),
-        "chaser_velocity": np.ascontiguousarray(r_c[:, 3:]),
-    }
-    first = t[part][0]
-    times = t[part] - first
+    t, state_t, state_c = in_common(target, craft, day, start, duration)
+    times = t - t[0]
     source = f"precise orbits, {craft.name} (chaser) and {target.name} (target)"
-    began = Instant.of(int(day), (day - int(day)) * DAY + float(first), "TT")
-    return Recording(times, (), {}, Truth(times, values, source), {"time": {"epoch": str(began)}})
+    truth = Truth(times, relative_truth(split(state_t), split(state_c)), source)
+    began = Instant.of(int(day), (day - int(day)) * DAY + float(t[0]), "TT")
+    return Recording(times, (), {}, truth, {"time": {"epoch": str(began)}})

@@ -34,8 +34,8 @@ from relnav_graph.io.orbits import (
     excess,
     in_common,
     in_order,
-    part_of,
-    roles,
+    relative_truth,
+    two_orbits,
 )
 from relnav_graph.io.packed import one_file, read_rows
 from relnav_graph.maths.instants import Instant
@@ -102,16 +102,6 @@ def _orbit(path: Path) -> Orbit:
     return Orbit(path, name, table[:, 0], table[:, 1], np.ascontiguousarray(state))
 
 
-def _pair(folder: Path, run: str, chaser: str) -> tuple[Orbit, Orbit]:
-    """The orbits of target and chaser."""
-    paths = sorted(p for p in folder.glob(_ORBIT) if run in p.name)
-    if len(paths) != 2:
-        hint = "; name the pass by a part of both, data.options.run" if len(paths) > 2 else ""
-        names = ", ".join(p.name for p in paths) or "no file"
-        raise InputError(f"{folder}: found {names}, expected two files {_ORBIT}{hint}")
-    return roles(folder, [_orbit(p) for p in paths], chaser)
-
-
 def _ranges(path: Path, day: float) -> tuple[Array, Array]:
     """Times (N,), s since a day, and ranges (N,), m."""
     numbers, table = _table(path, ("range (m)",))
@@ -148,21 +138,14 @@ def read(
     Raises InputError, with file and line, on files that are missing, damaged, in other units, and
     when they have no two epochs in common.
     """
-    target, craft = _pair(folder, run, chaser)
+    target, craft = two_orbits(folder, _ORBIT, run, chaser, _orbit)
     day = min(target.day[0], craft.day[0])
-    t, k, both = in_common(target, craft, day)
-    part = part_of(t, start, duration)
-    first, end = t[part][0], t[part][-1]
-    times, begin = t[part] - first, Instant.of(int(day), float(first), "GPS")
+    t, state_t, state_c = in_common(target, craft, day, start, duration)
+    first, end = t[0], t[-1]
+    times, begin = t - first, Instant.of(int(day), float(first), "GPS")
     table = AbsoluteTime(str(begin), orientation).table
-    r_c, v_c = celestial(begin, times, craft.state[both][part], table)
-    r_t, v_t = celestial(begin, times, target.state[k][part], table)
-    values = {
-        "relative_position": r_c - r_t,
-        "relative_velocity": v_c - v_t,
-        "chaser_position": r_c,
-        "chaser_velocity": v_c,
-    }
+    of_target, of_chaser = (celestial(begin, times, x, table) for x in (state_t, state_c))
+    values = relative_truth(of_target, of_chaser)
     measurements: tuple[Measurement, ...] = ()
     source = f"precise orbits, {craft.name} (chaser) and {target.name} (target)"
     if sensor:
@@ -174,8 +157,8 @@ def read(
         ids = np.zeros(1, dtype=np.int64)
         pairs = zip(at, ranges, strict=True)
         measurements = tuple(Measurement(sensor, float(s), np.array([[z]]), ids) for s, z in pairs)
-        more = excess(path, at, ranges, times, np.linalg.norm(r_c - r_t, axis=1))
-        values["range_bias"] = np.full((len(times), 1), more.mean())
-        values["range_drift"] = more[:, None] - more.mean()
+        distance = np.linalg.norm(values["relative_position"], axis=1)
+        bias, drift = excess(path, at, ranges, times, distance)
+        values |= {"range_bias": bias, "range_drift": drift}
     truth = Truth(times, values, source)
     return Recording(times, measurements, {}, truth, {"time": {"epoch": str(begin)}})

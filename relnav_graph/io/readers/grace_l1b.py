@@ -43,8 +43,9 @@ from relnav_graph.io.orbits import (
     excess,
     in_common,
     in_order,
-    part_of,
+    relative_truth,
     roles,
+    split,
 )
 from relnav_graph.io.poses import from_quaternions, quaternions
 from relnav_graph.maths.instants import Instant
@@ -260,26 +261,17 @@ def read(
         raise InputError(f"data.options.instrument: found {instrument!r}, expected KBR1B or LRI1B")
     pair, fixed = _pair(folder, orbit, run, leave_flagged)
     target, craft = roles(folder, pair, chaser)
-    t, k, both = in_common(target, craft, float(_DAY))
-    part = part_of(t, start, duration)
-    first, end = float(t[part][0]), float(t[part][-1])
-    times, begin = t[part] - first, Instant.of(_DAY, first, "GPS")
+    t, state_t, state_c = in_common(target, craft, float(_DAY), start, duration)
+    first, end = float(t[0]), float(t[-1])
+    times, begin = t - first, Instant.of(_DAY, first, "GPS")
     table = AbsoluteTime(str(begin), orientation).table if fixed else None
 
     def inertial(state: Array) -> tuple[Array, Array]:
-        if fixed:
-            return celestial(begin, times, state, table)
-        return np.ascontiguousarray(state[:, :3]), np.ascontiguousarray(state[:, 3:])
+        return celestial(begin, times, state, table) if fixed else split(state)
 
-    r_c, v_c = inertial(craft.state[both][part])
-    r_t, v_t = inertial(target.state[k][part])
+    truth = relative_truth(inertial(state_t), inertial(state_c))
     found = Collected(known, f"{craft.path.name} (chaser) and {target.path.name} (target)")
-    for name, value in (
-        ("relative_position", r_c - r_t),
-        ("relative_velocity", v_c - v_t),
-        ("chaser_position", r_c),
-        ("chaser_velocity", v_c),
-    ):
+    for name, value in truth.items():
         found.add_truth(str(folder), name, times, value)
 
     def taken(product: _Product) -> tuple[_Product, Array]:
@@ -290,10 +282,11 @@ def read(
 
     if range or range_rate:
         link = _product(_one(folder, instrument, "Y", run), _RANGE, leave_flagged)
-        line = (r_c - r_t) / np.linalg.norm(r_c - r_t, axis=1, keepdims=True)
+        r_tc, v_tc = truth["relative_position"], truth["relative_velocity"]
+        line = r_tc / np.linalg.norm(r_tc, axis=1, keepdims=True)
         orbits = {
-            "range": np.linalg.norm(r_c - r_t, axis=1),
-            "range_rate": np.einsum("ni,ni->n", line, v_c - v_t),
+            "range": np.linalg.norm(r_tc, axis=1),
+            "range_rate": np.einsum("ni,ni->n", line, v_tc),
         }
         _add_link(found, *taken(link), times, orbits, {"range": range, "range_rate": range_rate})
     if attitude or _find(folder, "SCA1B", craft.name, run):
@@ -330,7 +323,6 @@ def _add_link(
             continue
         z = link.stack(*_SUMS[quantity]).sum(axis=1)
         found.add_rows(sensor, at, z[:, None])
-        more = excess(link.path, at, z, times, orbits[quantity], like=False)
-        bias = np.full((len(times), 1), more.mean())
+        bias, drift = excess(link.path, at, z, times, orbits[quantity], like=False)
         found.add_truth(str(link.path), f"{quantity}_bias", times, bias)
-        found.add_truth(str(link.path), f"{quantity}_drift", times, more[:, None] - bias)
+        found.add_truth(str(link.path), f"{quantity}_drift", times, drift)

@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.files import file_in
 from relnav_graph.io.clocks import Clock
-from relnav_graph.io.declared import Collected, Roles
+from relnav_graph.io.declared import Roles, poses
 from relnav_graph.io.known import Known
-from relnav_graph.io.lines import Rows, file_of, numbers, rising
-from relnav_graph.io.poses import Motion, from_matrices
+from relnav_graph.io.lines import Rows, file_of, numbers
+from relnav_graph.io.poses import Where, from_matrices
 from relnav_graph.units import parse_quantity
 
 __all__ = ["FILES", "read"]
@@ -51,6 +52,12 @@ def _stamps(rows: Rows, times: str, rate: Any) -> list[Decimal]:
     return own.stamps
 
 
+def _pose(where: Where, values: Array) -> tuple[Array, Array]:
+    matrices = values.reshape(-1, 3, 4)
+    R = from_matrices(where, np.ascontiguousarray(matrices[:, :, :3]))
+    return np.ascontiguousarray(matrices[:, :, 3]), R
+
+
 def read(
     path: Path,
     known: Known,
@@ -75,13 +82,5 @@ def read(
     roles = Roles.of("data.options", truth, measured, None, inverse)
     patterns = ("*.kitti", "poses.txt", "[0-9]*.txt", "*.txt")
     rows = numbers(file_of(path, patterns, file), _COLUMNS, stamped=False)
-    stamps, clock = _stamps(rows, times, rate), Clock(time, origin)
-    begin = clock.begin(rows.where(0), min(stamps))
-    t = clock.seconds(stamps, begin)
-    rising(rows.where, t)
-    matrices = rows.values.reshape(-1, 3, 4)
-    R = from_matrices(rows.where, np.ascontiguousarray(matrices[:, :, :3]))
-    found = Collected(known, rows.path.name)
-    values = {"position": np.ascontiguousarray(matrices[:, :, 3]), "attitude": R}
-    found.add(Motion(t, values, rows.where), roles)
-    return found.recording(clock.settings(begin))
+    stamps = _stamps(rows, times, rate)
+    return poses(known, roles, rows, Clock(time, origin), stamps, _pose)

@@ -15,16 +15,16 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.absolute_time import AbsoluteTime
-from relnav_graph.core.measurement import Measurement
-from relnav_graph.core.track import Recording, Truth
+from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.aem import read_attitudes
-from relnav_graph.io.ccsds.oem import EARTH, Ephemeris, read_ephemeris
+from relnav_graph.io.ccsds.oem import EARTH, Ephemeris, read_ephemeris, taken_part
+from relnav_graph.io.ccsds.target import orbit_recording, states_at
+from relnav_graph.io.covariances import sigmas_of
+from relnav_graph.io.declared import Collected, check_role, given_columns
 from relnav_graph.io.known import Known
-from relnav_graph.io.orbits import part_of
-from relnav_graph.io.roles import check_role, orbit_recording, sensor_columns, states_at
+from relnav_graph.io.poses import QUATERNION
 from relnav_graph.maths.frames import rtn_axes, to_rtn
-from relnav_graph.maths.instants import moved
 
 __all__ = ["FILES", "SUFFIXES", "read"]
 
@@ -37,7 +37,6 @@ _ROLES = {
 }
 _PLACE = ("x_m", "y_m", "z_m")
 _SPEED = ("vx_m_s", "vy_m_s", "vz_m_s")
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
 def read(
@@ -75,23 +74,27 @@ def read(
     check_role(path, "orbits", role, _ROLES)
     table = AbsoluteTime("2000-01-01T00:00:00 TT", orientation).table if orientation else None
     own = read_ephemeris(path, object, table)
-    t, taken = _taken(own, start, duration)
+    part = own.epoch, own.t, own.useable, start, duration
+    t, taken, settings = taken_part(path, "state", *part)
     other = known.target
     if target:
         orbit = read_ephemeris(path.parent / target, target_object, table, "target_object")
         other = orbit_recording(orbit)
-    settings = {"time": {"epoch": str(own.epoch.after(float(own.t[taken][0])))}}
     if role == "target":
         return orbit_recording(own)
     states = _relative(own, taken, other, known.orbital)
+    found = Collected(known, f"orbit of {own.name}, {path.name}")
     if role == "truth":
-        return _truth(own, taken, t, states, covariance, settings)
+        _add_truth(found, own, taken, t, states, covariance)
+        return found.recording(settings)
     name = "own" if _absolute(path, known, sensor, own, other) else "relative"
     z, R = _observed(own, taken, *states[name], covariance)
     if attitude:
         _add_attitudes(path.parent / attitude, own, taken, z, R)
-    chosen = sensor_columns(path, known, sensor, z)
-    return Recording(t, _measurements(sensor, t, z, R, chosen), {}, None, settings)
+    chosen = given_columns(path, known, sensor, z)
+    values = np.column_stack([z[c] for c in chosen])
+    found.add_rows(sensor, t, values, covariance=_of_rows(R, chosen))
+    return found.recording(settings)
 
 
 def _observed(
@@ -116,42 +119,23 @@ def _add_attitudes(
     if (its[k] != ns).any():
         lacks = own.epoch.after(float(own.t[taken][np.argmax(its[k] != ns)]))
         raise InputError(f"{path}: found no attitude at {lacks}, where {own.path} has a position")
-    z |= dict(zip(_QUATERNION, found.q_wxyz[k].T, strict=True))
+    z |= dict(zip(QUATERNION, found.q_wxyz[k].T, strict=True))
     if P:
-        P[_QUATERNION[1:]] = found.need_covariance()[k]
+        P[QUATERNION[1:]] = found.need_covariance()[k]
 
 
-def _measurements(
-    sensor: str,
-    t: Array,
-    z: dict[str, Array],
-    P: dict[tuple[str, ...], Array],
-    columns: tuple[str, ...],
-) -> tuple[Measurement, ...]:
-    """One measurement at each time: of a quaternion the residual has the rows x, y, z."""
-    values, ids = np.column_stack([z[c] for c in columns]), np.zeros(1, np.int64)
+def _of_rows(P: dict[tuple[str, ...], Array], columns: tuple[str, ...]) -> Array | None:
+    """The covariance (M, rows, rows) of some columns, of what covariances say by their rows: of a
+    quaternion the residual has the rows x, y, z. None where there are none."""
     rows = [c for c in columns if c != "q_w"]
-    R = np.zeros((len(t), len(rows), len(rows)))
+    R = None
     for names, own in P.items():
+        R = np.zeros((len(own), len(rows), len(rows))) if R is None else R
         there = [(i, names.index(row)) for i, row in enumerate(rows) if row in names]
         for i, a in there:
             for j, b in there:
                 R[:, i, j] = own[:, a, b]
-    return tuple(
-        Measurement(sensor, s, values[k : k + 1], ids, covariance=R[k : k + 1] if P else None)
-        for k, s in enumerate(t.tolist())
-    )
-
-
-def _taken(own: Ephemeris, start: float, duration: float | None) -> tuple[Array, Any]:
-    """Times (M,), s since the first that is taken, and which rows (N,) these are."""
-    taken = own.useable.copy()
-    if not taken.any():
-        raise InputError(f"{own.path}: found no state in the useable time")
-    if start or duration is not None:
-        taken[taken] = part_of(own.t[taken], start, duration)
-    t = own.t[taken]
-    return moved(t, -round(float(t[0]) * 1e9)), taken
+    return R
 
 
 def _relative(
@@ -186,29 +170,26 @@ def _relative(
     return found
 
 
-def _truth(
+def _add_truth(
+    found: Collected,
     own: Ephemeris,
     taken: Any,
     t: Array,
     states: dict[str, tuple[Array, Array]],
     covariance: bool,
-    settings: dict[str, Any],
-) -> Recording:
-    """The truth that states are. Raises InputError on those in axes of a body."""
+) -> None:
+    """Add the truth that states are. Raises InputError on those in axes of a body."""
     if own.body:
         raise InputError(f"{own.path}: found axes of {own.body}, expected inertial ones of a truth")
-    values, sigmas = {}, {}
     for key, of in (("own", "chaser"), ("relative", "relative")):
-        for n, part in ((0, "position"), (1, "velocity")):
-            if key in states:
-                name, cut = f"{of}_{part}", slice(3 * n, 3 * n + 3)
-                values[name] = np.ascontiguousarray(states[key][0][:, cut])
-                if covariance:
-                    T = states[key][1]
-                    P = T @ own.need_covariance(taken) @ np.swapaxes(T, 1, 2)
-                    sigmas[name] = np.sqrt(np.einsum("nii->ni", P)[:, cut])
-    truth = Truth(t, values, f"orbit of {own.name}, {own.path.name}", sigmas)
-    return Recording(t, (), {}, truth, settings)
+        if key not in states:
+            continue
+        state, T = states[key]
+        P = T @ own.need_covariance(taken) @ np.swapaxes(T, 1, 2) if covariance else None
+        for part, cut in (("position", slice(0, 3)), ("velocity", slice(3, 6))):
+            sigma = None if P is None else sigmas_of(P)[:, cut]
+            value = np.ascontiguousarray(state[:, cut])
+            found.add_truth(str(own.path), f"{of}_{part}", t, value, sigma)
 
 
 def _absolute(

@@ -10,17 +10,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording
 from relnav_graph.io.clocks import Clock
-from relnav_graph.io.declared import Collected, Roles
+from relnav_graph.io.declared import Roles, poses
 from relnav_graph.io.known import Known
-from relnav_graph.io.lines import file_of, numbers, rising
-from relnav_graph.io.poses import Motion, from_quaternions
+from relnav_graph.io.lines import file_of, numbers
+from relnav_graph.io.poses import Where, from_quaternions
 
 __all__ = ["FILES", "read"]
 
 FILES = True
 _COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+
+
+def _pose(where: Where, values: Array) -> tuple[Array, Array]:
+    return values[:, :3].copy(), from_quaternions(where, values[:, 3:], "xyzw")
 
 
 def read(
@@ -45,11 +50,4 @@ def read(
     """
     roles = Roles.of("data.options", truth, measured, None, inverse)
     rows = numbers(file_of(path, ("*.tum", "*.txt"), file), _COLUMNS)
-    clock = Clock(time, origin)
-    begin = clock.begin(rows.where(0), min(rows.stamps))
-    t = clock.seconds(rows.stamps, begin)
-    rising(rows.where, t)
-    R = from_quaternions(rows.where, rows.values[:, 3:], "xyzw")
-    found = Collected(known, rows.path.name)
-    found.add(Motion(t, {"position": rows.values[:, :3].copy(), "attitude": R}, rows.where), roles)
-    return found.recording(clock.settings(begin))
+    return poses(known, roles, rows, Clock(time, origin), rows.stamps, _pose)

@@ -16,7 +16,7 @@ from relnav_graph.errors import InputError
 from relnav_graph.files import read_file
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.ccsds.aem import SIDE
-from relnav_graph.io.ccsds.axes import gcrf_from
+from relnav_graph.io.ccsds.axes import inertial
 from relnav_graph.io.ccsds.writing import begin_of, finite, lines_of, put, stamps, target_states
 from relnav_graph.io.covariances import covariance_columns
 from relnav_graph.io.tabular import to_components, write_table
@@ -70,9 +70,7 @@ def write(
         frame = frame or "SC_BODY_2"
     else:
         frame = frame.upper() or "ICRF"
-        R = gcrf_from(frame)
-        if R is None:
-            raise InputError(f"{path}: found frame {frame!r}, expected ICRF, GCRF or EME2000")
+        R = inertial(str(path), frame)
         if orbital:
             at = target_states(path, target, begin, track.t)
             values = np.swapaxes(rtn_axes(at)[0], 1, 2) @ values

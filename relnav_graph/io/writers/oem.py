@@ -14,7 +14,7 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
-from relnav_graph.io.ccsds.axes import covariance_turns, gcrf_from, state_turns
+from relnav_graph.io.ccsds.axes import covariance_turns, gcrf_from, inertial, state_turns
 from relnav_graph.io.ccsds.message import unscaled
 from relnav_graph.io.ccsds.writing import begin_of, finite, lines_of, put, stamps, target_states
 from relnav_graph.maths.frames import from_rtn, rtn_axes
@@ -57,9 +57,7 @@ def write(
     begin = begin_of(track, path, epoch, time_system)
     states, P = _states(track, path, of, target, orbital, begin)
     finite(path, track, states, "state")
-    R = gcrf_from(frame)
-    if R is None:
-        raise InputError(f"{path}: found frame {frame!r}, expected ICRF, GCRF or EME2000")
+    R = inertial(str(path), frame)
     here = np.kron(np.eye(2), R.T)
     written = states if frame.upper() != "EME2000" else states @ here.T
     meta = {

@@ -1,9 +1,7 @@
-"""What files of states have in common that need a role: which it is, for which sensor, where the
-target was."""
+"""The orbit of the target, which other states are relative to: as a recording, and at any time."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,45 +10,10 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.oem import EARTH, Ephemeris
-from relnav_graph.io.known import Known
 from relnav_graph.maths.hermite import between_states
 from relnav_graph.maths.instants import Instant, moved
 
-__all__ = ["check_role", "orbit_recording", "sensor_columns", "states_at"]
-
-
-def check_role(path: Path, what: str, role: str, roles: Mapping[str, str]) -> None:
-    """Raise InputError unless a role is one of those that `what` can have, by name: what it is."""
-    if role not in roles:
-        found = f"found the role {role!r}" if role else "found no role"
-        known = "; ".join(f"{name!r}, {text}" for name, text in roles.items())
-        raise InputError(
-            f"{path}: holds {what}, no measurements: {found}, expected one of: {known}"
-        )
-
-
-def sensor_columns(
-    path: Path, known: Known, sensor: str, there: Collection[str]
-) -> tuple[str, ...]:
-    """The columns of a sensor, all of which must be there; of one that is not known, those of a
-    position or an attitude. Raises InputError otherwise, or without the name of a sensor."""
-    if not sensor:
-        raise InputError(f"{path}: measured by which sensor? found no option sensor")
-    if sensor in known.sensors:
-        columns = known.sensors[sensor].columns
-    elif known.sensors:
-        names = ", ".join(known.sensors)
-        raise InputError(f"{path}: unknown sensor {sensor!r}; known are {names}")
-    else:
-        speeds = ("vx_m_s", "vy_m_s", "vz_m_s")
-        columns = tuple(c for c in there if c not in speeds)
-    lacks = [c for c in columns if c not in there]
-    if lacks:
-        raise InputError(
-            f"{path}: sensor {sensor!r} has the columns {', '.join(columns)}; the file can give"
-            f" {', '.join(there)}"
-        )
-    return tuple(columns)
+__all__ = ["orbit_recording", "states_at"]
 
 
 def orbit_recording(own: Ephemeris) -> Recording:
