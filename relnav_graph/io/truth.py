@@ -134,6 +134,8 @@ def at_epochs(
 ) -> Array:
     """Values at `epochs` (M,), s, of rows at t (N,), s: (N, ...) gives (M, ...): of the row of that
     time, or between rows (`between`), NaN elsewhere. Says what is not of a row, as of `where`."""
+    if not len(epochs):  # of a truth alone
+        return values[:0]
     rows, same = Truth(t, {}).at(epochs)
     found = between(block, t, values, epochs, gap)
     made = np.isfinite(found.reshape(len(epochs), -1)).all(axis=1) & ~same

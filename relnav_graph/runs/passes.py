@@ -64,9 +64,11 @@ def is_dataset(folder: Path) -> bool:
 
 
 def _as_it_came(raw: Mapping[str, Any], folder: Path) -> bool:
-    """Whether a scenario reads a folder in parts, files of others, which nobody has converted."""
+    """Whether a scenario names readers for a folder, of files of others, which nobody has
+    converted."""
     data = raw.get("data")
-    return isinstance(data, dict) and "parts" in data and not (folder / "dataset.toml").exists()
+    named = isinstance(data, dict) and ("parts" in data or "reader" in data)
+    return named and not (folder / "dataset.toml").exists()
 
 
 def _is_raw(raw: Mapping[str, Any], folder: Path) -> bool:

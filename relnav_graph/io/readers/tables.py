@@ -39,7 +39,8 @@ def read(
     absolute time of a stamp of 0, as "2021-07-17T00:00:00 UTC"; stamps: "unix", seconds of UTC
     since 1970 without leap seconds, or "gps", seconds since 1980-01-06; sort: put rows in order of
     time. Without these, and without
-    a dataset.toml that says it, stamps are of the clock of the pass.
+    a dataset.toml that says it, stamps are of the clock of the pass. Where truth stands alone,
+    without measurements and epochs, its times are the epochs.
 
     Raises InputError on tables that are damaged, when none is there, on a name that is not of the
     scenario, and on Unix stamps across a leap second, which they do not tell.
@@ -73,6 +74,9 @@ def read(
     if (epoch or stamps) and not origin:  # whole seconds, so that no digit of late stamps is lost
         origin = float(np.floor(min(_ends(found))))
         found = taken(origin)
+    truth = found.truth
+    if not len(found.times) and truth and any(n not in known.statics for n in truth.values):
+        found = replace(found, times=truth.t)  # sensors are simulated there, if at all
     zero = found.epoch
     if epoch or stamps:
         ends = [t + origin for t in _ends(found)]

@@ -1,0 +1,78 @@
+"""Folders with a scenario that names one reader: files of others, read as they came."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from passes import relnav
+
+from relnav_graph.arrays import Array
+from relnav_graph.io.results import read_results
+
+T: Array = np.arange(20.0)
+TRUE = np.column_stack([20 + 0.5 * T, -3 + 0 * T, 0.25 * T])
+SEEN = TRUE + 0.1 * np.random.default_rng(0).normal(size=TRUE.shape)
+#: In km, on a clock that began at 100 s, in columns of other names.
+COLUMNS = {"columns": ["north", "east", "down"], "unit": "km"}
+MAPPING = {"time": {"column": "stamp", "unit": "s", "clock": "none"}, "sensors": {"fix": COLUMNS}}
+SCENARIO: dict[str, Any] = {
+    "title": "fixes of a log",
+    "processes": {"motion": {"kind": "white_noise_acceleration", "acceleration_density": 1e-3}},
+    "sensors": {"fix": {"kind": "position_fix", "sigma": 0.1}},
+    "prior": {
+        "relative_position": {"sigma": 50.0, "mean": [0.0, 0.0, 0.0]},
+        "relative_velocity": {"sigma": 5.0, "mean": [0.0, 0.0, 0.0]},
+    },
+}
+
+
+def smoothed(capsys: pytest.CaptureFixture[str], *arguments: object) -> Array:
+    """Positions (N, 3), m, that a command writes into the folder that it names last."""
+    code, _, said = relnav(capsys, *arguments)
+    assert code == 0, said
+    (track,), _, _ = read_results(Path(str(arguments[-1])) / "results.nc")
+    return track.value("relative_position")
+
+
+def test_a_folder_is_smoothed_by_the_reader_that_its_scenario_names(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """As by compare with the same scenario elsewhere, and as from the data set it converts to."""
+    raw, own = tmp_path / "raw", tmp_path / "own"
+    table = {"data": {"reader": "table", "options": MAPPING}}
+    for folder in (raw, own):
+        folder.mkdir()
+        rows = np.column_stack([100 + T, SEEN / 1e3])
+        head = "stamp,north,east,down"
+        np.savetxt(folder / "log.csv", rows, "%.17g", ",", header=head, comments="")
+    for path in (own / "scenario.toml", tmp_path / "mine.toml"):
+        path.write_text(tomli_w.dumps(SCENARIO | table))
+    found = smoothed(capsys, "smooth", own, "-o", tmp_path / "a")
+    np.testing.assert_allclose(found, TRUE, atol=0.3)
+    mine = ("compare", tmp_path / "mine.toml", "-e", "batch", "--data")
+    np.testing.assert_array_equal(smoothed(capsys, *mine, raw, "-o", tmp_path / "b"), found)
+    np.testing.assert_array_equal(smoothed(capsys, *mine, own, "-o", tmp_path / "c"), found)
+    assert relnav(capsys, "convert", own, tmp_path / "set")[0] == 0
+    again = smoothed(capsys, "smooth", tmp_path / "set", "-o", tmp_path / "d")
+    np.testing.assert_allclose(again, found, atol=1e-9)
+
+
+def test_sensors_to_simulate_are_drawn_where_the_truth_alone_is_there(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    data = {"reader": "tables", "simulate": ["fix"]}
+    (tmp_path / "scenario.toml").write_text(tomli_w.dumps(SCENARIO | {"data": data}))
+    for name, values, axes in (
+        ("position", TRUE, "x_m,y_m,z_m"),
+        ("velocity", np.gradient(TRUE, axis=0), "x_m_s,y_m_s,z_m_s"),
+    ):
+        path, head = tmp_path / f"truth_relative_{name}.csv", f"t_s,{axes}"
+        rows = np.column_stack([T, values])
+        np.savetxt(path, rows, "%.17g", ",", header=head, comments="")
+    found = smoothed(capsys, "smooth", tmp_path, "-o", tmp_path / "out")
+    error = np.abs(found - TRUE)
+    assert 0 < error.max() < 0.3
