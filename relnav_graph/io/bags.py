@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from relnav_graph.errors import InputError
 from relnav_graph.io.clocks import NANO
+from relnav_graph.io.mcap_checksums import check_mcap
 
 __all__ = ["Topic", "bag_in", "read_topics", "topics_in", "types", "write_bag"]
 
@@ -93,6 +94,9 @@ def read_topics(
     naming those that are, on others' types, on a topic without messages, and on a damaged bag.
     """
     with _opened(path) as reader:
+        for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
+            if file.suffix == ".mcap":
+                check_mcap(file)
         there = {c.topic: c.msgtype for c in reader.connections}
         for name in names:
             if name not in there:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 import sys
+from binascii import crc32
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +85,7 @@ def messages(store: Any, ros1: bool) -> dict[str, tuple[str, list[Any]]]:
     return {name: (parts[0][name][0], [p[name][1] for p in parts]) for name in parts[0]}
 
 
-def bag(folder: Path, form: str, again: bool = False) -> Path:
+def bag(folder: Path, form: str, again: bool = False, zipped: bool = False) -> Path:
     """A bag as rosbags writes it by itself; each message is received a little later."""
     ros1 = form == "ros1"
     stores = typesys.Stores
@@ -92,6 +95,8 @@ def bag(folder: Path, form: str, again: bool = False) -> Path:
     writer: Any = (
         rosbag1.Writer(path) if ros1 else rosbag2.Writer(path, version=8, storage_plugin=plugin)
     )
+    if zipped:
+        writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
     with writer:
         for name, (kind, rows) in messages(store, ros1).items():
@@ -289,6 +294,62 @@ def test_a_track_without_an_attitude_and_what_it_lacks(tmp_path: Path) -> None:
         velocity="relative_velocity",
     )
     assert (tmp_path / "mine" / "notes.txt").read_text() == "kept"
+
+
+def with_checksums(path: Path) -> tuple[Path, int, int]:
+    """The MCAP file of a bag, with the checksums that its writer left out; where its chunk and the
+    summary are. Layout: https://mcap.dev/spec."""
+    (file,) = path.glob("*.mcap")
+    data, at, chunk, summary = bytearray(file.read_bytes()), 8, 0, 0
+    while at < len(data) - 8:
+        op, size = struct.unpack_from("<BQ", data, at)
+        if op == 0x06:  # times, length, checksum, name of the compression, length of the rest
+            chunk, body = at, at + 9
+            (name,) = struct.unpack_from("<I", data, body + 28)
+            packed = bytes(data[body + 40 + name : body + size])
+            raw = import_module("backports.zstd").decompress(packed) if name else packed
+            struct.pack_into("<I", data, body + 24, crc32(raw))
+        elif op == 0x0F:
+            struct.pack_into("<I", data, at + 9, crc32(data[:at]))
+        elif op == 0x02:
+            (summary,) = struct.unpack_from("<Q", data, at + 9)
+            struct.pack_into("<I", data, at + 25, crc32(data[summary : at + 25]))
+        at += 9 + size
+    file.write_bytes(data)
+    return file, chunk, summary
+
+
+@pytest.mark.parametrize("zipped", [False, True])
+@pytest.mark.parametrize(
+    ("where", "says"),
+    [
+        ("chunk", "found the chunk at byte {chunk} with another checksum"),
+        ("before", "found the data up to byte .* with another checksum"),
+        ("summary", "found the summary at byte {summary} with another checksum"),
+    ],
+)
+def test_a_damaged_mcap_file_is_named_with_the_place(
+    tmp_path: Path, where: str, says: str, zipped: bool
+) -> None:
+    """One bit, in a number of a message, in a stamp that nobody reads, and in the summary."""
+    path = bag(tmp_path, "mcap", zipped=zipped)
+    file, chunk, summary = with_checksums(path)
+    whole = file.read_bytes()
+    number = whole.find(PLACES[1].tobytes()) if not zipped else chunk + 200
+    flipped = bytearray(whole)
+    # Of the summary the time of the first message, in the index of its chunk.
+    index = whole.rfind(struct.pack("<Q", STAMPS[0] + LATE))
+    flipped[{"chunk": number, "before": chunk + 9, "summary": index}[where]] ^= 1
+    role = {"truth": {"position": "r"}}
+    np.testing.assert_array_equal(truth_of(path, "/pose", "position")["position"], PLACES)
+    for place in (path, file):
+        file.write_bytes(flipped)
+        expected = says.format(chunk=chunk, summary=summary)
+        with pytest.raises(InputError, match=rf"pass\.mcap: damaged: {expected}"):
+            read(place, "/pose", role)
+    file.write_bytes(whole[:-1000])
+    with pytest.raises(InputError, match="not a readable bag"):
+        read(path, "/pose", role)
 
 
 def test_without_the_extra_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
