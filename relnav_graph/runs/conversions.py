@@ -80,7 +80,8 @@ def convert_results(
         )
     own: dict[str, Any] = {}
     if "time_epoch" in attributes:
-        own = {"epoch": attributes["time_epoch"], "orbital": attributes.get("o") == "RTN"}
+        turns = {"i": False, "RTN": True}.get(attributes.get("o", ""))
+        own = {"epoch": attributes["time_epoch"], "orbital": turns}
     own = {k: v for k, v in own.items() if k in options_of(writer)} | dict(options or {})
     chosen = _chosen(source, tracks, name, fills_folder(writer))
     for track in chosen:

@@ -65,6 +65,17 @@ def test_results_go_to_files_of_others(capsys: Capture, tmp_path: Path) -> None:
     assert "when is t = 0 of 'one'?" in said
 
 
+@pytest.mark.parametrize("o", ["i", ""])
+def test_results_that_know_their_axes_need_no_caution(
+    capsys: Capture, tmp_path: Path, o: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Those of a scenario with an absolute time do; older ones do not say so."""
+    stored, out = tmp_path / "results.nc", tmp_path / "a.oem"
+    write_results(stored, [track()], None, {"time_epoch": EPOCH} | ({"o": o} if o else {}))
+    assert relnav(capsys, "convert", stored, out, "--option", "of=relative")[0] == 0
+    assert ("are not known to be inertial" in caplog.text) == (not o)
+
+
 def test_two_orbits_become_data(capsys: Capture, tmp_path: Path) -> None:
     """A folder of truth, on which a scenario simulates its sensors; or at once a data set."""
     one, paths = track(), [tmp_path / f"{n}.oem" for n in ("chaser", "target")]

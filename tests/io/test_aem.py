@@ -36,6 +36,17 @@ def measured(path: Path, **options: Any) -> Recording:
     return read_raw("aem", path, {"role": "measured", "sensor": "stars", **options})
 
 
+def test_axes_of_which_nobody_knows_that_they_are_inertial_are_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_track("aem", track(), tmp_path / "a.aem", epoch=EPOCH, orbital=False)
+    assert caplog.text == ""
+    write_track("aem", track(), tmp_path / "a.aem", epoch=EPOCH)
+    (record,) = caplog.records
+    assert record.levelname == "WARNING"
+    assert "a.aem: the axes o of 'one' are not known to be inertial" in record.message
+
+
 def test_a_track_comes_back_bit_for_bit(tmp_path: Path) -> None:
     """The quaternions that are written, and the covariances of the table beside them."""
     one, path = track(), tmp_path / "a.aem"

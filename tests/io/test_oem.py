@@ -44,6 +44,28 @@ def states(found: Recording) -> Array:
     return np.hstack([values["chaser_position"], values["chaser_velocity"]])
 
 
+@pytest.mark.parametrize(
+    ("of", "options", "said"),
+    [
+        ("relative", {}, True),
+        ("relative", {"frame": "eme2000"}, True),
+        ("target", {}, True),
+        ("target", {"orbital": False}, False),
+        ("chaser", {}, False),  # chaser_position is in i whatever o is
+    ],
+)
+def test_axes_of_which_nobody_knows_that_they_are_inertial_are_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, of: str, options: dict[str, Any], said: bool
+) -> None:
+    write_track("oem", track(), tmp_path / "a.oem", epoch=EPOCH, of=of, **options)
+    frame = options.get("frame", "icrf").upper()
+    expected = (
+        f"a.oem: the axes o of 'one' are not known to be inertial, and are written as {frame}"
+    )
+    assert [r.levelname for r in caplog.records] == ["WARNING"] * said
+    assert (expected in caplog.text) == said
+
+
 def test_km_lose_no_bit() -> None:
     rng = np.random.default_rng(0)
     sizes = 10.0 ** rng.integers(-25, 25, 400)

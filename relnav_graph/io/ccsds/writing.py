@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,8 +18,9 @@ from relnav_graph.io.ccsds.oem import read_ephemeris
 from relnav_graph.io.ccsds.target import orbit_recording, states_at
 from relnav_graph.maths.instants import SCALES, Instant
 
-__all__ = ["begin_of", "finite", "lines_of", "put", "stamps", "target_states"]
+__all__ = ["begin_of", "finite", "lines_of", "put", "say_of_axes", "stamps", "target_states"]
 
+_LOG = logging.getLogger(__name__)
 _MARK = "COMMENT written by relnav-graph"
 
 
@@ -61,6 +63,17 @@ def target_states(path: Path, target: str | Recording, begin: Instant, t: Array)
         target if isinstance(target, Recording) else orbit_recording(read_ephemeris(Path(target)))
     )
     return states_at(orbit, begin, t, path)
+
+
+def say_of_axes(path: Path, track: Track, orbital: bool | None, frame: str) -> None:
+    """Warn where nobody said (None) whether o turns with the orbit: a track does not know it, and
+    its o was written as `frame`."""
+    if orbital is None:
+        _LOG.warning(
+            f"{path}: the axes o of {track.name!r} are not known to be inertial, and are written as"
+            f" {frame}: orbital = false says that they are, orbital = true that they turn with the"
+            " target's orbit"
+        )
 
 
 def lines_of(kind: str, meta: Mapping[str, str], originator: str) -> list[str]:

@@ -17,7 +17,15 @@ from relnav_graph.files import read_file
 from relnav_graph.io.atomic import atomic
 from relnav_graph.io.ccsds.aem import SIDE
 from relnav_graph.io.ccsds.axes import inertial
-from relnav_graph.io.ccsds.writing import begin_of, finite, lines_of, put, stamps, target_states
+from relnav_graph.io.ccsds.writing import (
+    begin_of,
+    finite,
+    lines_of,
+    put,
+    say_of_axes,
+    stamps,
+    target_states,
+)
 from relnav_graph.io.covariances import covariance_columns
 from relnav_graph.io.tabular import to_components, write_table
 from relnav_graph.maths.frames import rtn_axes
@@ -40,7 +48,7 @@ def write(
     body: str = "SC_BODY_1",
     time_system: str = "UTC",
     target: str | Recording = "",
-    orbital: bool = False,
+    orbital: bool | None = None,
     covariance: bool = True,
     originator: str = "RELNAV-GRAPH",
 ) -> None:
@@ -50,8 +58,9 @@ def write(
     one that there is; object, object_id: name and designator; frame: REF_FRAME_A, ICRF (default),
     GCRF or EME2000, of relative_attitude the name of the target's axes, SC_BODY_2 by default; body:
     REF_FRAME_B; time_system: UTC, TAI, GPS, TT or TDB; orbital: whether o turns with the target's
-    orbit, `target`, a file OEM or a recording with target_position; covariance: whether to write
-    the table; originator: of the header.
+    orbit, `target`, a file OEM or a recording with target_position, None: taken for inertial, with
+    a warning (but of relative_attitude); covariance: whether to write the table; originator: of the
+    header.
 
     Raises InputError on what the track lacks, on a frame or a time system that is not known, and
     where nothing can be written.
@@ -95,6 +104,8 @@ def write(
     if covariance:
         finite(path, track, P, "covariance")
     put(path, [*lines, "DATA_STOP"])
+    if block != _RELATIVE:
+        say_of_axes(path, track, orbital, frame)
     side.unlink(missing_ok=True)  # it would be taken for that of the new file
     if covariance:
         i, j = np.tril_indices(3)

@@ -16,7 +16,15 @@ from relnav_graph.core.track import Recording, Track
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.axes import covariance_turns, gcrf_from, inertial, state_turns
 from relnav_graph.io.ccsds.message import unscaled
-from relnav_graph.io.ccsds.writing import begin_of, finite, lines_of, put, stamps, target_states
+from relnav_graph.io.ccsds.writing import (
+    begin_of,
+    finite,
+    lines_of,
+    put,
+    say_of_axes,
+    stamps,
+    target_states,
+)
 from relnav_graph.maths.frames import from_rtn, rtn_axes
 from relnav_graph.maths.instants import Instant
 
@@ -38,7 +46,7 @@ def write(
     time_system: str = "UTC",
     covariance: str = "",
     target: str | Recording = "",
-    orbital: bool = False,
+    orbital: bool | None = None,
     originator: str = "RELNAV-GRAPH",
 ) -> None:
     """Write the states of a track's chaser, or target, as an ephemeris.
@@ -49,13 +57,14 @@ def write(
     object, object_id: its name and designator; frame: ICRF, GCRF or EME2000; time_system: UTC, TAI,
     GPS, TT or TDB; covariance: its frame, one of these or RTN, by default `frame`, "none": without;
     target: the target's orbit, a file OEM or a recording with target_position; orbital: whether o
-    turns with it (the scenario has an [orbit]); originator: of the header.
+    turns with it (the scenario has an [orbit]), None: taken for inertial, with a warning wherever o
+    matters; originator: of the header.
 
     Raises InputError on what the track lacks, on a frame or a time system that is not known, and
     where nothing can be written.
     """
     begin = begin_of(track, path, epoch, time_system)
-    states, P = _states(track, path, of, target, orbital, begin)
+    states, P = _states(track, path, of, target, bool(orbital), begin)
     finite(path, track, states, "state")
     R = inertial(str(path), frame)
     here = np.kron(np.eye(2), R.T)
@@ -86,6 +95,8 @@ def write(
             lines += [" ".join(unscaled(x, 6) for x in one[i, : i + 1].tolist()) for i in range(6)]
         lines.append("COVARIANCE_STOP")
     put(path, lines)
+    if of != "chaser" or not set(_OWN) <= {b.name for b in track.blocks}:  # those are in i
+        say_of_axes(path, track, orbital, meta["REF_FRAME"])
 
 
 def _states(
