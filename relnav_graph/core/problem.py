@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -29,6 +30,7 @@ from relnav_graph.core.measurement import SAME_TIME, Bridge, Stamps
 from relnav_graph.core.numbered import families, first_seen
 from relnav_graph.core.shown import Shown, listed, span
 from relnav_graph.core.state import Block, Layout
+from relnav_graph.core.turning import turning_cautions
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.files import check_name
 from relnav_graph.maths.losses import Loss
@@ -248,7 +250,13 @@ class Problem(Shown):
         points = first_seen(self.sensors, taken)
         statics = [block.name for block in self.layout.statics if block not in points]
         untold = untold_cautions(statics, self.processes.values(), measured)
-        return start + interval_cautions(self.times) + gap_cautions(self.bridged) + untold
+        gaps = gap_cautions(self.bridged)
+        return start + interval_cautions(self.times) + gaps + untold + self._turning
+
+    @cached_property
+    def _turning(self) -> tuple[Caution, ...]:
+        known = self.layout.values(self.prior.x)
+        return turning_cautions(self.processes, self.sensors, self.epochs, known)
 
     def cautions_from(self, t: float) -> tuple[Caution, ...]:
         """What is doubtful about a pass that begins at time t, s, whatever comes of it."""
