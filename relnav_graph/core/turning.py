@@ -19,8 +19,10 @@ from relnav_graph.core.state import Block
 from relnav_graph.errors import RelnavError
 from relnav_graph.maths import so3
 
-__all__ = ["turning_cautions"]
+__all__ = ["TURNING", "turning_cautions"]
 
+#: Name of the caution.
+TURNING = "attitude turns otherwise"
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 #: What measured quaternions may be instead of what they are read as: where w, x, y, z then stand,
 #: and the sign of x, y, z.
@@ -78,7 +80,7 @@ def _caution(sensor: str, inputs: str, missed: Array) -> list[Caution]:
         return []
     return [
         Caution(
-            "attitude turns otherwise",
+            TURNING,
             f"attitudes of {sensor!r} miss what {inputs!r} says of {len(missed)} turns of"
             f" {turn:.2g} rad (rms) by {rms[0]:.2g} rad, and by {rms[best]:.2g} rad read"
             f" {list(READINGS)[best]}: what order and direction have they?",
