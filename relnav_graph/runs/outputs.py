@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from relnav_graph.core.cautions import Caution
 from relnav_graph.core.numbered import times_seen
 from relnav_graph.errors import InputError
 from relnav_graph.io.atomic import atomic
@@ -53,7 +54,11 @@ def write_outputs(
         "scenario": opened.scenario.name,
         "title": opened.scenario.file.title,
         "time_origin": f"{opened.scenario.file.time.origin!r} s",
-        "cautions": cautions_out(found.problems[0].cautions),
+        "cautions": cautions_out(
+            Caution(c["name"], c["text"])
+            for c in found.summary["cautions"]
+            if c["estimator"] is None
+        ),
     }
     if opened.scenario.file.time.epoch is not None:
         attributes["time_epoch"] = opened.scenario.file.time.epoch

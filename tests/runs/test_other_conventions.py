@@ -13,7 +13,10 @@ from scipy.spatial.transform import Rotation
 
 import relnav_graph as rg
 from relnav_graph.arrays import Array
-from relnav_graph.runs.comparison import compare
+from relnav_graph.report.contents import PassContents, read_contents
+from relnav_graph.runs.comparison import compare, compare_pass
+from relnav_graph.runs.outputs import Drawing, write_outputs
+from relnav_graph.runs.passes import open_pass
 from relnav_graph.scenario.build import load_scenario
 
 SCENARIO = """
@@ -94,6 +97,19 @@ def test_the_convention_that_fits_is_named(tmp_path: Path, turn: Any, says: str 
         (text,) = texts
         assert "the attitudes of 'board' fit " in text
         assert says in text
+
+
+def test_what_is_written_of_the_pass_has_the_caution(tmp_path: Path) -> None:
+    """So that a report of the folder says it, too."""
+    found = _written(tmp_path, lambda r, q: (r, q[:, [1, 2, 3, 0]]))
+    opened = open_pass(tmp_path / "a.toml", data=tmp_path / "data")
+    again = compare_pass(opened, ["ekf", "batch"])
+    write_outputs(tmp_path / "out", opened, again, drawing=Drawing(formats=()))
+    content = read_contents(tmp_path / "out")
+    assert isinstance(content, PassContents)
+    names = [c["name"] for c in content.summary["cautions"] if c["estimator"] is None]
+    assert "other convention" in names or "attitude turns otherwise" in names
+    assert [c["name"] for c in found["cautions"] if c["estimator"] is None] == names
 
 
 def test_recorded_attitudes_that_are_right_are_not_doubted() -> None:
