@@ -38,8 +38,9 @@ _BLOCK = re.compile(
     r"^```(?P<language>[^\n`]*)\n(?P<body>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
-#: Of a line of output that is kept: the schema of scenarios is one of 100,000 characters.
-WIDTH = 400
+#: Of output that is kept: characters of a line, and lines of a command, of which the schema of
+#: scenarios, which is a file of its own, has 13,000.
+WIDTH, LINES = 400, 1000
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,9 @@ def _printed(command: str, data: str | None) -> str:
     text = done.stdout
     for path in filter(None, (folder, str(ROOT), str(Path.cwd()))):
         text = text.replace(f"{path}/", "")
-    return "\n".join(line[:WIDTH].rstrip() for line in text.splitlines())
+    lines = [line[:WIDTH].rstrip() for line in text.splitlines()]
+    left = len(lines) - LINES
+    return "\n".join(lines[:LINES] + ([f"... ({left} lines more)"] if left > 0 else []))
 
 
 def run(page: Path) -> str:
