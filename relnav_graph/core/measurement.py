@@ -13,12 +13,16 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
 
 __all__ = [
+    "QUATERNION",
     "Bridge",
     "InputSeries",
     "Measurement",
     "Stamps",
     "edge_tolerance",
 ]
+
+#: Columns of a quaternion, of sensors and of tables: Hamilton, scalar first.
+QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
 @dataclass(frozen=True, eq=False)

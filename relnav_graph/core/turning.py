@@ -14,7 +14,7 @@ from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.contracts import Dynamics, ProposesStarts, Sensor
 from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.measurement import QUATERNION, Measurement
 from relnav_graph.core.state import Block
 from relnav_graph.errors import RelnavError
 from relnav_graph.maths import so3
@@ -23,7 +23,6 @@ __all__ = ["TURNING", "turning_cautions"]
 
 #: Name of the caution.
 TURNING = "attitude turns otherwise"
-QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 #: What measured quaternions may be instead of what they are read as: where w, x, y, z then stand,
 #: and the sign of x, y, z.
 READINGS: Mapping[str, tuple[tuple[int, ...], float]] = {

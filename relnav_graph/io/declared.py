@@ -34,7 +34,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import epoch_times
-from relnav_graph.core.measurement import InputSeries, Measurement
+from relnav_graph.core.measurement import QUATERNION, InputSeries, Measurement
 from relnav_graph.core.models import derived_quantities
 from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth
@@ -43,7 +43,7 @@ from relnav_graph.io.clocks import Clock
 from relnav_graph.io.covariances import sigmas_of
 from relnav_graph.io.known import Known
 from relnav_graph.io.lines import Rows, rising
-from relnav_graph.io.poses import QUATERNION, Motion, Where, quaternions
+from relnav_graph.io.poses import Motion, Where, quaternions
 from relnav_graph.io.truth import at_epochs, block_like
 from relnav_graph.units import column_unit
 

@@ -11,18 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.measurement import QUATERNION
 from relnav_graph.errors import InputError
 from relnav_graph.io.columns import Columns
 from relnav_graph.io.declared import SAMPLES, Collected
 from relnav_graph.io.known import Known
-from relnav_graph.io.poses import (
-    ORDERS,
-    QUATERNION,
-    from_matrices,
-    from_mrp,
-    from_quaternions,
-    quaternions,
-)
+from relnav_graph.io.poses import ORDERS, from_matrices, from_mrp, from_quaternions, quaternions
 from relnav_graph.io.stamp_columns import StampColumn
 from relnav_graph.units import column_unit, si_scale, unit_scale
 

@@ -18,7 +18,6 @@ from relnav_graph.maths import dense, so3
 
 __all__ = [
     "ORDERS",
-    "QUATERNION",
     "Motion",
     "Where",
     "check_quaternions",
@@ -33,9 +32,6 @@ __all__ = [
 
 #: Where w, x, y, z stand in a quaternion, by the order that a format has.
 ORDERS: Mapping[str, tuple[int, ...]] = {"wxyz": (0, 1, 2, 3), "xyzw": (3, 0, 1, 2)}
-
-#: Columns of a quaternion, of sensors and of tables.
-QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 Where = Callable[[int], str]
 

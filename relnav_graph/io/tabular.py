@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
+from relnav_graph.core.measurement import QUATERNION
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.files import file_in, read_file
-from relnav_graph.io.poses import QUATERNION
 from relnav_graph.maths import dense, so3
 from relnav_graph.memory import check_room
 

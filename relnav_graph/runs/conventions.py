@@ -13,25 +13,26 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
+from relnav_graph.core.measurement import QUATERNION
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import RelnavError
 from relnav_graph.estimators import try_estimator
-from relnav_graph.maths import so3
+from relnav_graph.io.poses import Motion, from_quaternions, quaternions
 from relnav_graph.runs.passes import Pass
 
 __all__ = ["convention_cautions"]
 
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-_POSE = ("x_m", "y_m", "z_m", *_QUATERNION)
+_POSE = ("x_m", "y_m", "z_m", *QUATERNION)
 #: Mean square of innovations, in sigmas, from which on something is wrong; and how many times
 #: smaller it must be where it would be mended.
 _WRONG, _BETTER = 5.0, 4.0
 
 
 def _inverse_pose(z: Array) -> Array:
-    R = np.array([so3.from_quaternion(q) for q in z[:, 3:]])
-    r = -np.einsum("nji,nj->ni", R, z[:, :3])
-    return np.hstack([r, z[:, 3:] * [1, -1, -1, -1]])
+    R = from_quaternions(lambda k: f"row {k}", z[:, 3:])
+    pose = {"position": z[:, :3], "attitude": R}
+    back = Motion(np.zeros(len(z)), pose, lambda k: f"row {k}").inverse().values
+    return np.hstack([back["position"], quaternions(back["attitude"])])
 
 
 def _turned(order: list[int], sign: float) -> Callable[[Array], Array]:
@@ -70,7 +71,7 @@ def convention_cautions(opened: Pass) -> tuple[Caution, ...]:
     found = []
     for name, sensor in opened.scenario.sensors.items():
         columns = tuple(sensor.columns)
-        if columns[-4:] != _QUATERNION:
+        if columns[-4:] != QUATERNION:
             continue
         as_read = _misfit(opened, opened.recording, name)
         if as_read < _WRONG:

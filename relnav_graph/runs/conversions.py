@@ -71,13 +71,14 @@ def convert_results(
     suffix that no writer has.
     """
     tracks, _, attributes = read_results(source)
-    writer = to or writer_of(out) or "csv"
-    if not to and out.suffix and writer_of(out) is None and not out.is_dir():
+    writer = to or writer_of(out)
+    if not writer and out.suffix and not out.is_dir():
         known = ", ".join(sorted(end for ends in suffixes(writers()).values() for end in ends))
         raise InputError(
             f"{out}: no writer makes files {out.suffix}; expected one of {known}, a name without a"
             " suffix for a folder of CSV tables, or the name of a writer (--to)"
         )
+    writer = writer or "csv"
     own: dict[str, Any] = {}
     if "time_epoch" in attributes:
         turns = {"i": False, "RTN": True}.get(attributes.get("o", ""))

@@ -10,13 +10,11 @@ import numpy as np
 from relnav_factors.shared.mounting import MountedSensor
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
-from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.measurement import QUATERNION, Measurement
 from relnav_graph.core.state import UNIT_QUATERNION
 from relnav_graph.errors import InputError
 from relnav_graph.maths import dense, so3
 from relnav_graph.units import Quantity
-
-QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
 @jit

@@ -7,11 +7,11 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from relnav_factors.shared.attitude import QUATERNION, unit_quaternions
+from relnav_factors.shared.attitude import unit_quaternions
 from relnav_factors.shared.mounting import PlacedSensor
 from relnav_factors.shared.points import Pose
 from relnav_graph.arrays import Array
-from relnav_graph.core.measurement import Measurement
+from relnav_graph.core.measurement import QUATERNION, Measurement
 from relnav_graph.units import Quantity
 
 

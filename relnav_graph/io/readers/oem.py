@@ -15,6 +15,7 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.absolute_time import AbsoluteTime
+from relnav_graph.core.measurement import QUATERNION
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.ccsds.aem import read_attitudes
@@ -23,7 +24,6 @@ from relnav_graph.io.ccsds.target import orbit_recording, states_at
 from relnav_graph.io.covariances import sigmas_of
 from relnav_graph.io.declared import Collected, check_role, given_columns
 from relnav_graph.io.known import Known
-from relnav_graph.io.poses import QUATERNION
 from relnav_graph.maths.frames import rtn_axes, to_rtn
 
 __all__ = ["FILES", "SUFFIXES", "read"]
