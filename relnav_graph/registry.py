@@ -7,6 +7,7 @@ truly one new file, and a third party's package adds its own without touching th
 
 from __future__ import annotations
 
+import difflib
 import importlib.util
 import inspect
 import logging
@@ -130,7 +131,7 @@ def look_beside(folder: Path, kinds: Iterable[str]) -> None:
 def find_class(group: str, kind: str) -> type[Any]:
     """The class of a kind, or the one named directly as ``"module:Class"``.
 
-    Raises ModelError, listing the known kinds, when there is none.
+    Raises ModelError, with the nearest and all known kinds, when there is none.
     """
     if ":" in kind:
         module, _, name = kind.partition(":")
@@ -144,7 +145,9 @@ def find_class(group: str, kind: str) -> type[Any]:
         return cls
     known = classes(group)
     if kind not in known:
-        raise ModelError(f"found kind {kind!r}, expected one of: {', '.join(known)}")
+        close = difflib.get_close_matches(kind, known, 1)
+        hint = f" (is {close[0]!r} meant?)" if close else ""
+        raise ModelError(f"found kind {kind!r}{hint}, expected one of: {', '.join(known)}")
     return known[kind]
 
 

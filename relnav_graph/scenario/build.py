@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from relnav_graph.arrays import Array
 from relnav_graph.compiled.helpers import compile_ahead
 from relnav_graph.core import models
-from relnav_graph.core.catalogue import POINT
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
 from relnav_graph.core.copies import with_copiers
 from relnav_graph.core.measurement import Bridge
@@ -63,6 +62,8 @@ __all__ = [
 
 #: How the names of blocks end that a sensor has of its own: how it is mounted.
 MOUNTED = ("_misalignment", "_displacement")
+#: Sections whose tables recorded data may bring, or complete.
+_BROUGHT = ("processes", "sensors")
 
 
 def _check_choices(file: ScenarioFile, problems: Problems) -> None:
@@ -161,9 +162,11 @@ def _check_room(
 
 
 def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile | None:
-    """The file without its wrong tables, so that the others are checked all the same."""
+    """The file without its wrong tables, or its title, so that the others are checked all the
+    same."""
+    rest = {k: v for k, v in merged.items() if k not in wrong}
     try:
-        return ScenarioFile.model_validate({k: v for k, v in merged.items() if k not in wrong})
+        return ScenarioFile.model_validate({"title": "", **rest})
     except ValidationError:
         return None
 
@@ -185,11 +188,11 @@ def make_scenario(
     problems: Problems = strange_values(settings or {}) + strange_values(raw)
     if problems:  # nor could they be written into what a run leaves
         raise ScenarioError(name, problems)
-    sections = {"processes", "sensors"}
     # Until the data are read, settings that they may bring count as present, not as missing.
     waiting = settings is None and "data" in raw
-    merged = merge({k: v for k, v in (settings or {}).items() if k in sections}, raw)
+    merged = merge({k: v for k, v in (settings or {}).items() if k in _BROUGHT}, raw)
     merged = with_data_epoch(merged, settings, problems)
+    merged.setdefault("prior", {})  # so that what it lacks is named, block by block
     file: ScenarioFile | None
     try:
         file = ScenarioFile.model_validate(merged)
@@ -199,8 +202,9 @@ def make_scenario(
     clock = pass_clock(merged, problems)
     tables_of = in_pass_time(merged, clock, waiting, problems)
     orbit = tables_of.get("orbit")
-    made: dict[str, dict[str, Any]] = {"processes": {}, "sensors": {}}
+    made: dict[str, dict[str, Any]] = {section: {} for section in _BROUGHT}
     options: dict[str, SensorOptions] = {}
+    unknown = False  # whether there is a model of which nobody knows what it reads or advances
     for section, found in made.items():
         tables = tables_of.get(section)
         for key, table in tables.items() if isinstance(tables, Mapping) else ():
@@ -220,11 +224,15 @@ def make_scenario(
                 except ValidationError as error:
                     problems += from_pydantic(path, error)
             for each, one in several.items():
+                before = len(problems)
                 model = make_kind(models.ENTRY_POINTS, path, one, problems)
                 contract = Dynamics if section == "processes" else Sensor
                 if model is not None and not isinstance(model, contract):
                     problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
                     model = None
+                unknown |= model is None
+                if model is None and waiting and all(m == MISSING for _, m in problems[before:]):
+                    break  # it waits for the data
                 found[each] = model
                 if not waiting and clock.lacks(model):
                     problems.append((path, NEEDED))
@@ -232,16 +240,17 @@ def make_scenario(
                     break  # what is wrong with one keyframe is wrong with all
     truth, inputs = _make_truth(tables_of, orbit, clock, problems)
     control = _make_control(tables_of, orbit, truth, problems)
+    brought: Problems = []
     if waiting:
-        problems = [p for p in problems if p[1] != MISSING]
-        made = {s: {k: m for k, m in found.items() if m is not None} for s, found in made.items()}
+        brought = [p for p in problems if p[1] == MISSING and p[0].split(".")[0] in _BROUGHT]
+        problems = [p for p in problems if p not in brought]
     if file is not None:
         _check_choices(file, problems)
         _check_names(file, made["processes"], problems)
     layout, every = None, Layout(())  # with all mountings in the state
     bridges, statics, points = dict[str, Bridge](), dict[str, Array](), None
     scored, noise = Scored(), dict[str, Array]()
-    if all(model is not None for model in made["processes"].values()):
+    if made["processes"] and all(model is not None for model in made["processes"].values()):
         sensors = {key: model for key, model in made["sensors"].items() if model is not None}
         try:
             sensors = with_copiers(sensors)
@@ -256,12 +265,10 @@ def make_scenario(
         priors = copy_priors(sensors, layout) | file.prior
         file = file.model_copy(update={"prior": priors})
         told, numbered = file.truth or {}, families(sensors)
-        wrong = any(path.startswith("sensors.") for path, _ in problems)
-        if wrong or (waiting and len(made["sensors"]) < len(file.sensors)):
-            # What a sensor reads that is wrong, or waits for the data, is not known: one error, not
+        if unknown or any(path.startswith("sensors.") for path, _ in problems):
+            # What a model reads that is wrong, or waits for the data, is not known: one error, not
             # one for each block.
-            spared = {n for n in file.prior if not wrong or n == POINT.name or n.endswith(MOUNTED)}
-            check_prior(layout, file, problems, numbered, {*spared, *(b.name for b in every)})
+            check_prior(layout, file, problems, numbered, file.prior)
         else:
             check_prior(layout, file, problems, numbered, every)
             statics = true_statics(every, told.get("statics", {}), problems)
@@ -276,7 +283,7 @@ def make_scenario(
         _check_steps(made["processes"], truth, file, problems)
         _check_room(file, inputs, options, layout, problems)
     if problems or file is None or layout is None:
-        raise ScenarioError(name, problems)
+        raise ScenarioError(name, problems or brought)
     compile_ahead(
         list({model.kernel: 0 for model in made["sensors"].values()}),
         [model.kernel for model in made["processes"].values()],
