@@ -41,7 +41,8 @@ def command(
     """Convert IN to OUT.
 
     \b
-    results.nc        -> folder of CSV tables, one per estimator
+    results.nc        -> folder of CSV tables, one per estimator; so of a folder that has one
+    results.nc        -> NAME.csv, of one --track
     results.nc        -> file of another format, by a writer (see relnav list): OEM, AEM, ...
     data set          -> data set (CSV or, with --parquet, Parquet tables)
     raw data folder   -> data set, by the reader that --scenario names
@@ -49,6 +50,9 @@ def command(
                          with --scenario a data set
     """  # noqa: D301  click wants the character itself
     tables: Format = "parquet" if parquet else "csv"
+    stored = source / "results.nc"
+    if scenario is None and stored.is_file() and not is_dataset(source):
+        source = stored
     if source.is_file() and by_suffix(source) is not None:
         show_events()
         show_progress(convert_orbits(source, target, orbit, scenario, tables))

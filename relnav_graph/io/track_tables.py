@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from relnav_graph.io.tabular import (
 )
 from relnav_graph.scoring.deviations import derived_estimates
 
-__all__ = ["block_columns", "write_csv"]
+__all__ = ["block_columns", "write_csv", "write_one"]
 
 
 def write_csv(
@@ -48,6 +50,12 @@ def write_csv(
     for name, columns in found.items():
         with atomic(files[name]) as staged:
             write_table(staged, columns)
+
+
+def write_one(path: Path, track: Track, tables: Format = "csv") -> None:
+    """The table of one track as the file `path`, without its smoothed one; those of static blocks
+    lie beside it, ``NAME_statics``, ``NAME_FAMILY``. Raises InputError as `write_csv`."""
+    write_csv(path.parent, [replace(track, name=path.stem, smoothed=None)], tables)
 
 
 def _add(tables: dict[str, dict[str, Array]], name: str, track: Track) -> None:

@@ -84,10 +84,11 @@ def convert_results(
         turns = {"i": False, "RTN": True}.get(attributes.get("o", ""))
         own = {"epoch": attributes["time_epoch"], "orbital": turns}
     own = {k: v for k, v in own.items() if k in options_of(writer)} | dict(options or {})
-    chosen = _chosen(source, tracks, name, fills_folder(writer))
+    folder = fills_folder(writer, out)
+    chosen = _chosen(source, tracks, name, folder)
     for track in chosen:
         write_track(writer, track, out, **own)
-    return f"{out}: {len(chosen)} tracks" if fills_folder(writer) else f"{out}: {chosen[0].name}"
+    return f"{out}: {len(chosen)} tracks" if folder else f"{out}: {name or chosen[0].name}"
 
 
 def convert_orbits(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from passes import relnav
 
 from relnav_graph import read_raw, write_track
 from relnav_graph.io.results import read_results, write_results
+from relnav_graph.io.tabular import read_table
 from relnav_graph.io.writers import writers
 from relnav_graph.runs.passes import open_dataset, open_pass
 
@@ -54,15 +56,40 @@ def test_results_go_to_files_of_others(capsys: Capture, tmp_path: Path) -> None:
         code, _, said = relnav(capsys, "convert", stored, tmp_path / "d.oem", *extra)
         assert code == 2
         assert says in said
-    for name in ("d.foo", "d.csv"):
-        code, _, said = relnav(capsys, "convert", stored, tmp_path / name)
-        assert code == 2
-        assert f"no writer makes files {name[1:]}; expected one of .aem, .bag," in said
-        assert not (tmp_path / name).exists()
+    code, _, said = relnav(capsys, "convert", stored, tmp_path / "d.foo")
+    assert code == 2
+    assert "no writer makes files .foo; expected one of .aem, .bag, .csv, .mcap," in said
+    assert not (tmp_path / "d.foo").exists()
     write_results(stored, [one], None, {})
     code, _, said = relnav(capsys, "convert", stored, tmp_path / "d.oem")
     assert code == 2
     assert "when is t = 0 of 'one'?" in said
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_one_track_goes_to_one_table(capsys: Capture, tmp_path: Path, form: str) -> None:
+    """Of a file of results, or of the folder that has it; a folder of that name stays one."""
+    one, stored, out = track(), tmp_path / "out" / "results.nc", tmp_path / f"mine.{form}"
+    stored.parent.mkdir()
+    other = replace(track(seed=1), name="other", smoothed=replace(one, name="other"))
+    write_results(stored, [one, other], None, {})
+    code, _, said = relnav(capsys, "convert", stored.parent, out)
+    assert code == 2
+    assert "found several tracks, expected one by --track: one, other, other_smoothed" in said
+    for name, means in (("other", other), ("other_smoothed", one)):
+        code, _, said = relnav(capsys, "convert", stored.parent, out, "--track", name)
+        assert (code, said) == (0, f"{out}: {name}\n")
+        assert {p.name for p in tmp_path.iterdir()} == {"out", out.name}
+        table = read_table(tmp_path, "mine")
+        assert table is not None
+        np.testing.assert_array_equal(
+            table["relative_position_x_m"], means.value("relative_position")[:, 0]
+        )
+    folder = tmp_path / f"tables.{form}"
+    folder.mkdir()
+    code, _, said = relnav(capsys, "convert", stored, folder)
+    assert (code, said) == (0, f"{folder}: 2 tracks\n")
+    assert {p.stem for p in folder.iterdir()} == {"one", "other", "other_smoothed"}
 
 
 @pytest.mark.parametrize("o", ["i", ""])

@@ -4,8 +4,8 @@ of a package that the entry-point group ``relnav_graph.writers`` names.
 A writer is a function ``write(track, path, **options) -> None`` in a module of its own. What it
 writes appears complete or not at all (`relnav_graph.io.atomic`); it replaces what it would itself
 have written, and refuses to write over anything else. It raises InputError on what the track lacks.
-The module may say ``SUFFIXES = (".oem",)``: how names of such files end; and ``FOLDER = True``: it
-writes into a folder, beside what is there of other tracks.
+The module may say ``SUFFIXES = (".oem",)``: how names of such files end; and ``FOLDER = True``:
+under another name it writes into a folder, beside what is there of other tracks.
 """
 
 from __future__ import annotations
@@ -46,10 +46,13 @@ def options_of(name: str) -> list[str]:
     return parameters(find_function(_module(name), "write"), 2)
 
 
-def fills_folder(name: str) -> bool:
-    """Whether a writer writes into a folder, beside what is there of other tracks. Raises
-    InputError on an unknown one."""
-    return bool(getattr(importlib.import_module(_module(name)), "FOLDER", False))
+def fills_folder(name: str, path: Path) -> bool:
+    """Whether a writer makes a folder of `path`, beside what is there of other tracks: not where it
+    ends as names of its files do, unless it is one. Raises InputError on an unknown writer."""
+    module = importlib.import_module(_module(name))
+    ends = tuple(getattr(module, "SUFFIXES", ()))
+    of_file = path.name.lower().endswith(ends) and not path.is_dir()
+    return bool(getattr(module, "FOLDER", False)) and not of_file
 
 
 def _module(name: str) -> str:
