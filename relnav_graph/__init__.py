@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from relnav_graph.core.timed import TimedSensor
     from relnav_graph.core.track import Recording, Track, Truth
     from relnav_graph.errors import InputError
-    from relnav_graph.estimators import run_estimator
     from relnav_graph.estimators.online.driver import online
     from relnav_graph.io.exports import to_dataframe, to_xarray
     from relnav_graph.io.readers import read_raw
     from relnav_graph.io.writers import write_track
     from relnav_graph.runs.arrays import problem_from_arrays
     from relnav_graph.runs.comparison import Comparison, compare
+    from relnav_graph.runs.estimates import run_estimator
     from relnav_graph.runs.frames import problem_from_frames
     from relnav_graph.runs.graph import to_gtsam, to_track
     from relnav_graph.runs.plotting import plot_track
@@ -107,7 +107,7 @@ _HOMES = {
     "problem_from_arrays": "runs.arrays",
     "problem_from_frames": "runs.frames",
     "read_raw": "io.readers",
-    "run_estimator": "estimators",
+    "run_estimator": "runs.estimates",
     "to_dataframe": "io.exports",
     "to_gtsam": "runs.graph",
     "to_track": "runs.graph",

@@ -93,7 +93,8 @@ class Problem(Shown):
     sensors read, the prior of one of them; known: those of them that are in the state whether they
     are measured or not; considered: names of blocks, or of families of numbered ones, that are
     counted and not estimated (Schmidt 1966): their uncertainty goes into the covariance of all
-    others. Without epochs it is one to be driven online: they
+    others; measured: names of the blocks whose mean in the prior is from the first measurements
+    (`relnav_graph.scenario.first_estimate`). Without epochs it is one to be driven online: they
     come later. Copies (`relnav_graph.core.copies`) are made at its epochs. The layout ends with the
     numbered blocks that are measured, in order of first sight; a prior that does not tell of just
     these is completed. Raises ModelError when no process advances any block, or two advance one,
@@ -117,6 +118,7 @@ class Problem(Shown):
     numbered: Mapping[str, Prior] = field(default_factory=dict)
     known: tuple[Block, ...] = ()
     considered: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
     layout: Layout = field(init=False)
 
     from_arrays = Lent("problem_from_arrays", maker=True)
@@ -132,6 +134,9 @@ class Problem(Shown):
             "state": listed(f"{b.name} {b.symbol}" for b in self.layout),
         }
         return f"Problem: {span(self.times)}, {self.layout.dim} error states", rows
+
+    def _doubts(self) -> tuple[Caution, ...]:
+        return self.cautions
 
     def __post_init__(self) -> None:
         for name in ("processes", "sensors", "gates", "losses", "bridges", "stamps", "numbered"):

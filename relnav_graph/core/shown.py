@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from html import escape
+from textwrap import wrap
 
 from relnav_graph.arrays import Array
 
@@ -32,17 +33,24 @@ class Shown:
         """A title, and rows of a name and what there is to say."""
         raise NotImplementedError
 
+    def _doubts(self) -> Iterable[object]:
+        """Cautions, which are shown in full."""
+        return ()
+
     def __repr__(self) -> str:
         title, rows = self._shown()
         width = max(map(len, rows), default=0)
         lines = [title, *(f"  {name:{width}}  {text}" for name, text in rows.items())]
-        return "\n".join(x if len(x) <= WIDTH else x[: WIDTH - 3] + "..." for x in lines)
+        lines = [x if len(x) <= WIDTH else x[: WIDTH - 3] + "..." for x in lines]
+        for doubt in self._doubts():
+            lines += wrap(f"caution: {doubt}", WIDTH, initial_indent="  ", subsequent_indent="    ")
+        return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         title, rows = self._shown()
         cells = "".join(
             f"<tr><th style='text-align:left'>{escape(name)}</th>"
             f"<td style='text-align:left'>{escape(text)}</td></tr>"
-            for name, text in rows.items()
+            for name, text in (*rows.items(), *(("caution", str(c)) for c in self._doubts()))
         )
         return f"<b>{escape(title)}</b><table>{cells}</table>"

@@ -144,6 +144,9 @@ class Track(Shown):
             rows["not used"] = listed(f"{n}: {k}" for n, k in self.rejected.items())
         return f"Track {self.name!r} ({self.kind}): {span(self.t)}", rows
 
+    def _doubts(self) -> tuple[Caution, ...]:
+        return self.cautions
+
     @property
     def blocks(self) -> tuple[Block, ...]:
         """All blocks: those of the epochs, then the static ones."""

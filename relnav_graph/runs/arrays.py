@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -23,7 +23,7 @@ from relnav_graph.core.stamps import first_stamp, seconds
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.errors import InputError
 from relnav_graph.maths.losses import Loss
-from relnav_graph.scenario.first_estimate import initialise
+from relnav_graph.scenario.first_estimate import with_measured
 from relnav_graph.scenario.gaps import bridge_of
 from relnav_graph.scenario.priors import prior_mean, prior_sigma
 from relnav_graph.scenario.schema import (
@@ -116,9 +116,7 @@ def problem_from_arrays(
     )
     if means.measured and not epochs:
         raise InputError("prior: found 'measured', but no measurements; Online can measure it")
-    if means.measured:
-        started = initialise(replace(problem, considered=()), means.measured)
-        problem = replace(problem, prior=started)
+    problem = with_measured(problem, means.measured)
     check_units(problem)
     return problem
 

@@ -10,10 +10,9 @@ from typing import Any
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.shown import Shown
 from relnav_graph.core.track import Recording, Track, Truth
-from relnav_graph.core.turning import TURNING
 from relnav_graph.estimators import find_estimator, try_estimator
 from relnav_graph.runs.closed_loop import fly_all
-from relnav_graph.runs.conventions import convention_cautions
+from relnav_graph.runs.conventions import pass_cautions
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.scenario import Scenario
@@ -62,6 +61,12 @@ class Comparison(Shown):
             rows[name] = f"{row['kind']}, {status}{said}"
         return f"Comparison of {self.summary['scenario']!r}: {self.summary['epochs']} epochs", rows
 
+    def _doubts(self) -> list[str]:
+        return [
+            ": ".join(filter(None, (c["estimator"], c["name"], c["text"])))
+            for c in self.summary["cautions"]
+        ]
+
     def track(self, name: str) -> Track:
         """The track of an estimator. Raises KeyError when there is none of that name."""
         return {track.name: track for track in self.tracks}[name]
@@ -107,10 +112,8 @@ def compare_pass(
     noise: dict[str, Any] = {}
     if opened.recording.truth is None and not opened.flown:
         tracks, noise = judge_without_truth(opened.problem, tracks)
-    cautions = each[0][0].problem.cautions
-    told = any(caution.name == TURNING for caution in cautions)
-    if not (opened.simulated or told) and any(track.status != "ok" for track in tracks):
-        cautions = (*cautions, *convention_cautions(opened))
+    # What is simulated is written as it is read.
+    cautions = pass_cautions(each[0][0].problem, () if opened.simulated else tracks)
     found = summary(
         opened.scenario.name,
         opened.seed if opened.simulated else None,

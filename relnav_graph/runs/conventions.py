@@ -6,7 +6,7 @@ a file tells. But beside a gyro, or known motion, it does not fit, and the right
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +14,15 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
 from relnav_graph.core.measurement import QUATERNION
-from relnav_graph.core.track import Recording
+from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
+from relnav_graph.core.turning import TURNING
 from relnav_graph.errors import RelnavError
 from relnav_graph.estimators import try_estimator
 from relnav_graph.io.poses import Motion, from_quaternions, quaternions
-from relnav_graph.runs.passes import Pass
+from relnav_graph.scenario.first_estimate import with_measured
 
-__all__ = ["convention_cautions"]
+__all__ = ["pass_cautions"]
 
 _POSE = ("x_m", "y_m", "z_m", *QUATERNION)
 #: Mean square of innovations, in sigmas, from which on something is wrong; and how many times
@@ -50,12 +52,26 @@ _OTHERS: Mapping[str, Callable[[Array], Array]] = {
 }
 
 
-def _misfit(opened: Pass, recording: Recording, sensor: str) -> float:
+def _read_as(problem: Problem, sensor: str, turn: Callable[[Array], Array]) -> Problem:
+    """The problem with the rows of a sensor in another convention, and what was measured of the
+    prior measured again. Raises EstimationError when that is impossible."""
+    epochs = tuple(
+        replace(
+            epoch,
+            measurements=tuple(
+                replace(m, z=turn(m.z)) if m.sensor == sensor else m for m in epoch.measurements
+            ),
+        )
+        for epoch in problem.epochs
+    )
+    return with_measured(replace(problem, epochs=epochs), problem.measured)
+
+
+def _misfit(problem: Problem, sensor: str, turn: Callable[[Array], Array] | None = None) -> float:
     """Mean square of a sensor's innovations at an epoch, in their own sigmas: the median over the
     second half, 1 or less where all is as declared; infinite where the filter is lost."""
     try:
-        problem = opened.scenario.problem(recording, opened.seed, opened.run)
-        track = try_estimator("iekf", problem)
+        track = try_estimator("iekf", _read_as(problem, sensor, turn) if turn else problem)
     except RelnavError:
         return np.inf
     found = track.innovations.get(sensor)
@@ -65,27 +81,29 @@ def _misfit(opened: Pass, recording: Recording, sensor: str) -> float:
     return float(np.median(own)) if np.isfinite(own).all() else np.inf
 
 
-def convention_cautions(opened: Pass) -> tuple[Caution, ...]:
-    """Of recorded attitudes that fit badly, and far better in another convention. It filters the
-    pass once for each convention: ask where an estimate is not ok."""
+def pass_cautions(problem: Problem, tracks: Sequence[Track]) -> tuple[Caution, ...]:
+    """What is doubtful about the pass of some tracks. Where one of them is not ok, and no caution
+    of the problem says why, also attitudes that fit badly, and far better in another convention:
+    the pass is filtered once for each."""
+    told = any(caution.name == TURNING for caution in problem.cautions)
+    if told or all(track.status == "ok" for track in tracks):
+        return problem.cautions
+    return problem.cautions + _convention_cautions(problem)
+
+
+def _convention_cautions(problem: Problem) -> tuple[Caution, ...]:
     found = []
-    for name, sensor in opened.scenario.sensors.items():
+    for name, sensor in problem.sensors.items():
         columns = tuple(sensor.columns)
         if columns[-4:] != QUATERNION:
             continue
-        as_read = _misfit(opened, opened.recording, name)
+        as_read = _misfit(problem, name)
         if as_read < _WRONG:
             continue
         others = dict(_OTHERS)
         if columns == _POSE:
             others["the inverse pose"] = _inverse_pose
-        fits = {}
-        for what, turn in others.items():
-            rows = tuple(
-                replace(m, z=turn(m.z)) if m.sensor == name else m
-                for m in opened.recording.measurements
-            )
-            fits[what] = _misfit(opened, replace(opened.recording, measurements=rows), name)
+        fits = {what: _misfit(problem, name, turn) for what, turn in others.items()}
         best = min(fits, key=lambda what: fits[what])
         if fits[best] * _BETTER < as_read:
             ratio = "far" if np.isinf(as_read) else f"{np.sqrt(as_read / fits[best]):.2g} times"

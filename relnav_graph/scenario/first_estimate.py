@@ -28,7 +28,7 @@ from relnav_graph.estimators.rts import smooth
 from relnav_graph.estimators.source import UNSOLVED
 from relnav_graph.linear.assembly import Assembly
 
-__all__ = ["FRAMES", "Hypothesis", "decide", "hypotheses", "initialise"]
+__all__ = ["FRAMES", "Hypothesis", "decide", "hypotheses", "initialise", "with_measured"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -211,6 +211,15 @@ def initialise(problem: Problem, names: Sequence[str], frames: int = FRAMES) -> 
     if doubt:
         _LOG.warning("%s", doubt)
     return prior
+
+
+def with_measured(problem: Problem, names: Sequence[str]) -> Problem:
+    """The problem with the mean of the blocks `names` measured, where there are any: see `decide`.
+    Raises EstimationError as that does."""
+    if not names:
+        return problem
+    prior = initialise(replace(problem, considered=()), names)
+    return replace(problem, prior=prior, measured=tuple(names))
 
 
 def decide(problem: Problem, names: Sequence[str], frames: int = FRAMES) -> tuple[Prior, str]:

@@ -24,7 +24,7 @@ from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths.losses import Loss
-from relnav_graph.scenario.first_estimate import initialise
+from relnav_graph.scenario.first_estimate import with_measured
 from relnav_graph.scenario.priors import make_prior, numbered_priors
 from relnav_graph.scenario.schema import ScenarioFile
 from relnav_graph.scenario.settings import SensorOptions, besides
@@ -303,9 +303,7 @@ class Scenario(Shown):
         if copiers(self.sensors):
             seen = [m for epoch in problem.epochs for m in epoch.measurements]
             check_copied(seen, self.sensors, {m.sensor: 1 for m in seen})
-        if self.measured:
-            started = initialise(replace(problem, considered=()), self.measured)
-            problem = replace(problem, prior=started)
+        problem = with_measured(problem, self.measured)
         check_units(problem)
         return problem
 

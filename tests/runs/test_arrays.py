@@ -275,6 +275,14 @@ def test_whole_milliseconds_taken_for_nanoseconds_are_a_caution() -> None:
         prior={"relative_position": (z[0], 1.0), "relative_velocity": (z[0], 1.0)},
     )
     assert ["1e-05 s apart (median): are they whole" in c.text for c in found.cautions] == [True]
+    track = rg.run_estimator("batch", found)
+    assert track.cautions == found.cautions
+    for noun in (found, track):  # said in full, in lines that are read
+        lines = repr(noun).splitlines()
+        assert "caution: intervals: the epochs are 1e-05 s apart" in repr(noun)
+        assert lines[-1].endswith("taken for ns?")
+        assert max(map(len, lines)) <= 96
+        assert "taken for ns?" in noun._repr_html_()
 
 
 def test_a_row_may_bring_its_own_covariance() -> None:

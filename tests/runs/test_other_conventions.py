@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from relnav_graph.runs.outputs import Drawing, write_outputs
 from relnav_graph.runs.passes import open_pass
 from relnav_graph.scenario.build import load_scenario
 
+Turn = Callable[[Array, Array], tuple[Array, Array]]
 SCENARIO = """
 title = "a marker board and a gyro"
 [data]
@@ -45,9 +47,9 @@ gyro_bias = { mean = [0, 0, 0], sigma = "100 deg/h" }
 """
 
 
-def _written(folder: Path, turn: Callable[[Array, Array], tuple[Array, Array]]) -> dict[str, Any]:
-    """The summary of a pass that turns, its poses r (N, 3), q_wxyz (N, 4) as `turn` has them."""
-    (folder / "data").mkdir()
+def _drawn(turn: Turn) -> tuple[Array, Array, Array]:
+    """Times (N,), poses (N, 7), their r (N, 3), q_wxyz (N, 4) as `turn` has them, and rates (N, 3)
+    of a pass that turns."""
     rng, t = np.random.default_rng(0), np.arange(40.0)
     R = Rotation.from_rotvec([0.5, -0.2, 0.1])
     rate = np.array([0.01, 0.02, 0.05]) + 0.03 * np.sin(0.2 * t)[:, None] * [1, -1, 0.5]
@@ -58,8 +60,15 @@ def _written(folder: Path, turn: Callable[[Array, Array], tuple[Array, Array]]) 
     noise = Rotation.from_rotvec(np.deg2rad(1.0) * rng.normal(size=(40, 3)))
     q_wxyz = (Rotation.concatenate(q) * noise).as_quat(scalar_first=True)
     r = [10, -4, 2] + np.outer(t, [-0.1, 0.03, 0]) + 0.1 * rng.normal(size=(40, 3))
+    return t, np.hstack(turn(r, q_wxyz)), rate
+
+
+def _written(folder: Path, turn: Turn) -> dict[str, Any]:
+    """The summary of that pass, as tables."""
+    (folder / "data").mkdir()
+    t, poses, rate = _drawn(turn)
     for name, columns, values in (
-        ("board", "t_s,x_m,y_m,z_m,q_w,q_x,q_y,q_z", np.hstack(turn(r, q_wxyz))),
+        ("board", "t_s,x_m,y_m,z_m,q_w,q_x,q_y,q_z", poses),
         ("gyro", "t_s,wx_rad_s,wy_rad_s,wz_rad_s", rate),
     ):
         table = np.column_stack([t, values])
@@ -97,6 +106,31 @@ def test_the_convention_that_fits_is_named(tmp_path: Path, turn: Any, says: str 
         (text,) = texts
         assert "the attitudes of 'board' fit " in text
         assert says in text
+
+
+@pytest.mark.parametrize("mean", ["measured", [0.96, 0.25, -0.1, 0.05]])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_arrays_in_another_order_are_named_by_the_track(swapped: bool, mean: Any) -> None:
+    """Where nothing is compared and no file is read."""
+    tables = tomllib.loads(SCENARIO)
+    t, poses, rate = _drawn(lambda r, q: (r, q[:, [1, 2, 3, 0] if swapped else [0, 1, 2, 3]]))
+    unit = mean if mean == "measured" else mean / np.linalg.norm(mean)
+    tables["prior"]["relative_attitude"]["mean"] = unit
+    problem = rg.Problem.from_arrays(
+        processes=tables["processes"],
+        sensors=tables["sensors"],
+        measurements={"board": (t, poses)},
+        inputs={"gyro": (t, rate[1:])},
+        prior=tables["prior"],
+    )
+    assert problem.measured[-1] == "relative_position"
+    for kind in ("ekf", "incremental"):
+        track = rg.run_estimator(kind, problem)
+        names = ["other convention"] if swapped else []
+        assert (track.status == "ok", [c.name for c in track.cautions]) == (not swapped, names)
+        assert track.smoothed is None or track.smoothed.cautions[:1] == track.cautions[:1]
+        shown = " ".join(repr(track).split())
+        assert ("if what was read is written with the scalar last: which" in shown) == swapped
 
 
 def test_what_is_written_of_the_pass_has_the_caution(tmp_path: Path) -> None:
