@@ -14,10 +14,25 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.contracts import Dynamics, KnowsInertialOrbit, KnowsOrbit, Sensor
+from relnav_graph.core.contracts import (
+    CopiesBlocks,
+    Dynamics,
+    KnowsInertialOrbit,
+    KnowsOrbit,
+    Sensor,
+)
 from relnav_graph.core.epochs import unit_hint
+from relnav_graph.core.state import Layout
+from relnav_graph.units import quantities
 
-__all__ = ["Caution", "gap_cautions", "interval_cautions", "orbit_cautions", "untold_cautions"]
+__all__ = [
+    "Caution",
+    "angle_cautions",
+    "gap_cautions",
+    "interval_cautions",
+    "orbit_cautions",
+    "untold_cautions",
+]
 
 #: Revolutions between the epoch of an orbit and the start of a pass from which on it is doubted
 #: that both are of one clock.
@@ -61,6 +76,45 @@ def orbit_cautions(models: Iterable[Any], t: float) -> tuple[Caution, ...]:
                 )
             )
     return tuple(found)
+
+
+def angle_cautions(
+    layout: Layout, sigma: Array, sensors: Mapping[str, Sensor]
+) -> tuple[Caution, ...]:
+    """Of angles that are known to no more than half a turn, which says nothing of them: degrees may
+    have been taken for radians.
+
+    sigma: of the prior, (dim,), SI, in the order of the layout; sensors: by name, whose parameters
+    are looked at.
+    """
+    copies = {n for s in sensors.values() if isinstance(s, CopiesBlocks) for n in s.copies}
+    given = {
+        f"prior.{block.name}.sigma": sigma[layout.tangent(block.name)]
+        for block in layout
+        if block.unit == "rad" and block.name not in copies  # of which nothing is known
+    }
+    for name, sensor in sensors.items():
+        given |= {f"sensors.{name}.{key}": value for key, value in _angle_sigmas(sensor).items()}
+    found = []
+    for path, value in given.items():
+        if (most := float(np.max(value))) > np.pi:
+            text = (
+                f"{path}: {most:.6g} rad is {np.rad2deg(most):.4g} deg, more than half a turn: are"
+                f" degrees meant? write '{most:.6g} deg'"
+            )
+            found.append(Caution("angle", text))
+    return tuple(found)
+
+
+def _angle_sigmas(sensor: Sensor) -> dict[str, Array]:
+    """The sigmas of a sensor that are angles, rad, by the name of the parameter."""
+    try:
+        known = quantities(type(sensor))
+    except Exception:  # of a stranger's class, whose annotations need not be types
+        return {}
+    angles = [key for key, q in known.items() if q.unit == "rad" and key.endswith("sigma")]
+    values = {key: getattr(sensor, key) for key in angles}
+    return {key: np.asarray(value) for key, value in values.items() if value is not None}
 
 
 def interval_cautions(times: Array) -> tuple[Caution, ...]:

@@ -17,6 +17,7 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.catalogue import ORBIT
 from relnav_graph.core.cautions import (
     Caution,
+    angle_cautions,
     gap_cautions,
     interval_cautions,
     orbit_cautions,
@@ -265,7 +266,9 @@ class Problem(Shown):
 
     def cautions_from(self, t: float) -> tuple[Caution, ...]:
         """What is doubtful about a pass that begins at time t, s, whatever comes of it."""
-        return orbit_cautions([*self.processes.values(), *self.sensors.values()], t)
+        far = orbit_cautions([*self.processes.values(), *self.sensors.values()], t)
+        sigma = np.sqrt(np.diag(self.prior.P))
+        return far + angle_cautions(self.layout, sigma, self.sensors)
 
     @property
     def bridged(self) -> dict[str, list[tuple[float, float]]]:

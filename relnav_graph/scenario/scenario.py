@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.cautions import Caution, orbit_cautions
+from relnav_graph.core.cautions import Caution, angle_cautions, orbit_cautions
 from relnav_graph.core.contracts import CopiesBlocks, Derived, Dynamics, Mountable, Sensor
 from relnav_graph.core.copies import check_copied, closure_of, copiers, with_true_copies
 from relnav_graph.core.epochs import Epoch, epoch_times, make_epochs
@@ -25,7 +25,7 @@ from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.maths.losses import Loss
 from relnav_graph.scenario.first_estimate import with_measured
-from relnav_graph.scenario.priors import make_prior, numbered_priors
+from relnav_graph.scenario.priors import make_prior, numbered_priors, prior_sigma
 from relnav_graph.scenario.schema import ScenarioFile
 from relnav_graph.scenario.settings import SensorOptions, besides
 from relnav_graph.scenario.true_map import TrueMap
@@ -171,11 +171,15 @@ class Scenario(Shown):
 
     @property
     def cautions(self) -> tuple[Caution, ...]:
-        """What is doubtful about a pass simulated at `times`; nothing where none can be."""
+        """What is doubtful about it before there are data; of the time of its pass, where one can
+        be simulated at `times`."""
+        prior = self.file.prior
+        sigma = np.concatenate([prior_sigma(b, prior[b.name].sigma) for b in self.layout])
+        found = angle_cautions(self.layout, sigma, self.sensors)
         if self.truth is None or self.file.time.epochs is None:
-            return ()
+            return found
         models = [*self.processes.values(), *self.sensors.values()]
-        return orbit_cautions(models, float(self.times[0]))
+        return orbit_cautions(models, float(self.times[0])) + found
 
     @property
     def true_sensors(self) -> dict[str, Sensor]:

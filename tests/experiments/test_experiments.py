@@ -43,6 +43,7 @@ def test_every_experiment_is_valid(path: Path) -> None:
     assert scenario.file.title
     assert scenario.file.description.strip()
     assert scenario.sensors or scenario.file.data is not None
+    assert scenario.cautions == ()
 
 
 @pytest.mark.parametrize("path", MAPPED, ids=lambda p: p.stem)

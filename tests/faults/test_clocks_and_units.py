@@ -57,6 +57,32 @@ def test_row_6_another_unit_is_refused_with_a_hint(
     )
 
 
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("prior.target_attitude.sigma=60", "60 rad is 3438 deg, more than half a turn"),
+        ("prior.chaser_attitude.sigma=[0.1, 5, 0.1]", "5 rad is 286.5 deg, more than half a turn"),
+        ("sensors.beacons.sigma=4", "4 rad is 229.2 deg, more than half a turn"),
+        ("prior.target_attitude.sigma='180 deg'", ""),
+        ("prior.relative_position.sigma=60", ""),
+    ],
+)
+def test_row_6_an_angle_known_to_many_turns_is_doubted(
+    setting: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Degrees without their unit. Said before there are data, and of the pass."""
+    code, out, _ = relnav(capsys, "validate", ZHANG, "--set", setting)
+    assert code == 0
+    scenario = load_scenario(ZHANG, [setting, "time.epochs=3"])
+    of_pass = scenario.problem(scenario.simulate(0), 0).cautions
+    assert scenario.cautions == of_pass
+    assert [c.name for c in of_pass] == ["angle"] * bool(says)
+    if says:
+        text = f"{setting.partition('=')[0]}: {says}: are degrees meant? write "
+        assert of_pass[0].text.startswith(text)
+        assert f"caution: angle: {text}" in out
+
+
 def _in_order(lines: list[str], ticks: list[str]) -> list[str]:
     def time(line: str) -> float:
         raw = json.loads(line)
