@@ -57,8 +57,10 @@ Install = Callable[..., None]
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
     """Installs distributions of third parties, each with a package of readers or writers."""
     monkeypatch.syspath_prepend(str(tmp_path))
+    packages = set[str]()
 
     def made(package: str, group: str, **files: str) -> None:
+        packages.add(package)
         info = tmp_path / f"{package}-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
@@ -70,7 +72,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 
     yield made
     modules.cache_clear()
-    for name in [n for n in sys.modules if n.startswith("third_")]:
+    for name in [n for n in sys.modules if n.partition(".")[0] in packages]:
         del sys.modules[name]
 
 
