@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +11,20 @@ from pydantic import ValidationError
 
 from relnav_graph.arrays import Array
 from relnav_graph.compiled.helpers import compile_ahead
-from relnav_graph.core import models
+from relnav_graph.core import catalogue, models
 from relnav_graph.core.contracts import Dynamics, IntegratesBySteps, Sensor
 from relnav_graph.core.copies import with_copiers
 from relnav_graph.core.measurement import Bridge
 from relnav_graph.core.numbered import families
 from relnav_graph.core.problem import check_orbits, layout_of
 from relnav_graph.core.scored import Scored
-from relnav_graph.core.state import Layout
+from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.steps import check_steps
 from relnav_graph.errors import InputError, ModelError
 from relnav_graph.estimators import find_estimator
 from relnav_graph.files import check_name, printable
 from relnav_graph.memory import check_room
+from relnav_graph.registry import find_class
 from relnav_graph.scenario.absolute import NEEDED, Clock, in_pass_time, pass_clock, with_data_epoch
 from relnav_graph.scenario.closures import at_keyframes, copy_priors
 from relnav_graph.scenario.gaps import check_stamps, make_bridges
@@ -161,6 +163,24 @@ def _check_room(
             problems.append((path, str(error)))
 
 
+def _is_wrong(sensor: str, problems: Problems) -> bool:
+    path = f"sensors.{sensor}"
+    return any(where == path or where.startswith(f"{path}.") for where, _ in problems)
+
+
+def _perhaps_read(kinds: Iterable[object], names: Iterable[str]) -> set[str]:
+    """Which of these names of blocks sensors of some kinds may read, whatever their parameters:
+    those that their modules or the catalogue have, and how they are mounted; all, where a kind is
+    none."""
+    try:
+        own = [sys.modules[find_class(models.ENTRY_POINTS, str(k)).__module__] for k in kinds]
+    except ModelError:
+        return set(names)
+    found = (value for module in (catalogue, *own) for value in vars(module).values())
+    known = {block.name for block in found if isinstance(block, Block)}
+    return {name for name in names if name in known or name.endswith(MOUNTED)}
+
+
 def _without(merged: Mapping[str, Any], wrong: set[int | str]) -> ScenarioFile | None:
     """The file without its wrong tables, or its title, so that the others are checked all the
     same."""
@@ -204,7 +224,7 @@ def make_scenario(
     orbit = tables_of.get("orbit")
     made: dict[str, dict[str, Any]] = {section: {} for section in _BROUGHT}
     options: dict[str, SensorOptions] = {}
-    unknown = False  # whether there is a model of which nobody knows what it reads or advances
+    waits = False
     for section, found in made.items():
         tables = tables_of.get(section)
         for key, table in tables.items() if isinstance(tables, Mapping) else ():
@@ -230,9 +250,9 @@ def make_scenario(
                 if model is not None and not isinstance(model, contract):
                     problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
                     model = None
-                unknown |= model is None
                 if model is None and waiting and all(m == MISSING for _, m in problems[before:]):
-                    break  # it waits for the data
+                    waits = True
+                    break
                 found[each] = model
                 if not waiting and clock.lacks(model):
                     problems.append((path, NEEDED))
@@ -265,10 +285,12 @@ def make_scenario(
         priors = copy_priors(sensors, layout) | file.prior
         file = file.model_copy(update={"prior": priors})
         told, numbered = file.truth or {}, families(sensors)
-        if unknown or any(path.startswith("sensors.") for path, _ in problems):
+        lost = {t.get("kind") for n, t in file.sensors.items() if _is_wrong(n, problems)}
+        if waits or lost:
             # What a model reads that is wrong, or waits for the data, is not known: one error, not
             # one for each block.
-            check_prior(layout, file, problems, numbered, file.prior)
+            spared = set(file.prior) if waits else _perhaps_read(lost, file.prior)
+            check_prior(layout, file, problems, numbered, {*spared, *(b.name for b in every)})
         else:
             check_prior(layout, file, problems, numbered, every)
             statics = true_statics(every, told.get("statics", {}), problems)
