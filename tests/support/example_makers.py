@@ -154,8 +154,10 @@ def odometry(**options: Any) -> SensorExample:
     return SensorExample(model, draw_blocks(model.reads), step=steps, least_large=1.0)
 
 
-def pose_measurement(**options: Any) -> SensorExample:
-    model = PoseMeasurement(
+def pose_measurement(
+    made: type[PoseMeasurement] = PoseMeasurement, **options: Any
+) -> SensorExample:
+    model = made(
         position_sigma=np.array([5e-3, 4e-3, 6e-3]), attitude_sigma=np.full(3, 0.01), **options
     )
     steps = {b.name: 0.1 for b in model.reads} | {"relative_position": 1.0}

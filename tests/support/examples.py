@@ -71,6 +71,7 @@ from relnav_factors.sensors.pose_copy import PoseCopy
 from relnav_factors.sensors.position_fix import PositionFix
 from relnav_factors.sensors.star_tracker import StarTracker
 from relnav_factors.sensors.stereo_point import StereoPointCartesian
+from relnav_factors.sensors.target_pose import TargetPose
 from relnav_factors.sensors.three_point_attitude import ThreePointAttitude
 from relnav_factors.sensors.vision_attitude import VisionAttitude
 
@@ -136,6 +137,11 @@ _EXAMPLES: Mapping[str, tuple[Example, ...]] = {
         pose_measurement(),
         pose_measurement(**MOUNTED),
         pose_measurement(pose="target", **MOUNTED),
+    ),
+    "target_pose": (
+        pose_measurement(TargetPose),
+        pose_measurement(TargetPose, **MOUNTED),
+        pose_measurement(TargetPose, pose="target", **MOUNTED),
     ),
     "pose_odometry": (
         odometry(scene_centre=np.array([2.0, 0.1, -0.3])),
