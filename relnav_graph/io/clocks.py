@@ -68,19 +68,19 @@ def _leaps(day: int) -> int:
 class Clock:
     """Of which clock stamps are, and which of them is t = 0.
 
-    time: "none" (seconds of a clock of its own), or one of `CLOCKS`; origin: the stamp, s, of t =
+    name: "none" (seconds of a clock of its own), or one of `CLOCKS`; origin: the stamp, s, of t =
     0, as text or a whole number. Without it t = 0 is the whole second at or before the first stamp
     of an absolute clock, and zero of a clock of its own. Raises InputError on another clock, and on
     an origin that is no number.
     """
 
-    time: str = "none"
+    name: str = "none"
     origin: str | int | float | None = None
 
     def __post_init__(self) -> None:
-        if self.time not in ("none", *CLOCKS):
+        if self.name not in ("none", *CLOCKS):
             known = ", ".join(("none", *CLOCKS))
-            raise InputError(f"data.options.time: found {self.time!r}, expected one of {known}")
+            raise InputError(f"data.options.clock: found {self.name!r}, expected one of {known}")
         if isinstance(self.origin, bool) or not isinstance(self.origin, str | int | float | None):
             raise InputError(f"data.options.origin: found {self.origin!r}, expected a time in s")
         assert self.origin is None or self._given() is not None
@@ -96,22 +96,22 @@ class Clock:
         if self.origin is not None:
             return self._given()
         earliest = Decimal(int(first)) / NANO if isinstance(first, int | np.integer) else first
-        if self.time == "unix" and earliest < _UTC_BEGAN:
+        if self.name == "unix" and earliest < _UTC_BEGAN:
             raise InputError(
                 f"{where}: found the stamp {earliest} s, which in Unix time is before 1972;"
-                ' expected data.options.time = "none", if it is of a clock of its own'
+                ' expected data.options.clock = "none", if it is of a clock of its own'
             )
-        if self.time != "none" and earliest > _LAST:
+        if self.name != "none" and earliest > _LAST:
             raise InputError(
-                f"{where}: found the stamp {earliest} s, which by the clock {self.time!r} is after"
+                f"{where}: found the stamp {earliest} s, which by the clock {self.name!r} is after"
                 " 2200: are the stamps in s?"
             )
-        if self.time != "none":
+        if self.name != "none":
             return earliest.to_integral_value("ROUND_FLOOR")
         if abs(earliest) > _LATEST:
             raise InputError(
                 f"{where}: found the stamp {earliest} s, which a float64 does not hold to a"
-                " nanosecond; expected data.options.time, the clock that it is of"
+                " nanosecond; expected data.options.clock, the clock that it is of"
                 f" ({', '.join(CLOCKS)}), or data.options.origin, the stamp of t = 0"
             )
         return Decimal(0)
@@ -130,7 +130,7 @@ class Clock:
         else:
             out = np.array([float(s - begin) for s in stamps], dtype=np.float64)
             days = np.array([_whole_days(s) for s in stamps], dtype=np.int64)
-        if self.time == "unix" and len(out):
+        if self.name == "unix" and len(out):
             first, zero = _whole_days(begin), CLOCKS["unix"][0]
             more = {d: _leaps(zero + d) - _leaps(zero + first) for d in set(days.tolist())}
             if any(more.values()):
@@ -139,9 +139,9 @@ class Clock:
 
     def settings(self, begin: Decimal) -> dict[str, Any]:
         """What a recording says of the absolute time of t = 0; {} of a clock of its own."""
-        if self.time == "none":
+        if self.name == "none":
             return {}
-        day, second, scale = CLOCKS[self.time]
+        day, second, scale = CLOCKS[self.name]
         days = _whole_days(begin + second)
         instant = Instant.of(day + days, float(begin + second - days * _DAY), scale)
         return {"time": {"epoch": str(instant)}}

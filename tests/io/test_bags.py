@@ -111,9 +111,9 @@ def read(path: Path, topic: str, role: dict[str, Any], **options: Any) -> Record
     return read_raw("ros", path, {"topics": {topic: role}, **options})
 
 
-def truth_of(path: Path, topic: str, *quantities: str, time: str = "unix") -> dict[str, Array]:
+def truth_of(path: Path, topic: str, *quantities: str, clock: str = "unix") -> dict[str, Array]:
     """True values by quantity, and sigmas by "sigma_" and the quantity."""
-    found = read(path, topic, {"truth": {q: q for q in quantities}}, time=time).truth
+    found = read(path, topic, {"truth": {q: q for q in quantities}}, clock=clock).truth
     assert found is not None
     return {**found.values, **{f"sigma_{n}": s for n, s in found.sigmas.items()}}
 
@@ -174,7 +174,7 @@ def test_covariances_of_poses_are_turned_to_the_body(tmp_path: Path) -> None:
         ("/pose", {"truths": {}}, {}, "unknown option 'truths'; known are truth, meas"),
         ("/pose", {"measured": {"pose": "m"}, "covariance": True}, {}, "no covariance of the"),
         ("/pose", {"truth": {"position": "r"}}, {"stamps": "x"}, "expected header or receive"),
-        ("/pose", {"truth": {"position": "r"}}, {"time": "none"}, "a float64 does not hold"),
+        ("/pose", {"truth": {"position": "r"}}, {"clock": "none"}, "a float64 does not hold"),
     ],
 )
 def test_what_is_refused(
@@ -271,7 +271,7 @@ def test_another_reads_what_we_write(tmp_path: Path) -> None:
 def test_a_track_without_an_attitude_and_what_it_lacks(tmp_path: Path) -> None:
     orbit = pose_track(Layout([RELATIVE_POSITION]))
     write_track("mcap", orbit, tmp_path / "orbit.mcap")
-    found = truth_of(tmp_path / "orbit.mcap", "/batch/position", "position", time="none")
+    found = truth_of(tmp_path / "orbit.mcap", "/batch/position", "position", clock="none")
     np.testing.assert_array_equal(found["position"], orbit.value("relative_position"))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("kept")

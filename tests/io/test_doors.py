@@ -165,25 +165,25 @@ def test_what_two_parts_say_both_is_refused_with_both_named(
 def test_stamps_of_other_clocks_are_declared(tmp_path: Path) -> None:
     """GPS and Unix seconds of tables; the latter not across a leap second."""
     known = Known(inputs={"gyro": ("x_rad_s",)})
-    for stamps, begin, first in (
+    for clock, begin, first in (
         ("gps", 1467331200.0, "2026-07-06T00:00:00 GPS"),
         ("unix", 1600000000.0, "2020-09-13T12:26:40 UTC"),
     ):
         (tmp_path / "gyro.csv").write_text(f"t_s,x_rad_s\n{begin},0\n{begin + 0.5},1\n")
-        found = read_data({"reader": "tables", "options": {"stamps": stamps}}, tmp_path, known)
+        found = read_data({"reader": "tables", "options": {"clock": clock}}, tmp_path, known)
         assert found.epoch is not None
         t = found.inputs["gyro"].t_start[0]
         assert found.epoch.after(t) == Instant.parse(first)
         placed = read_data(
-            {"reader": "tables", "options": {"stamps": stamps}},
+            {"reader": "tables", "options": {"clock": clock}},
             *(tmp_path, known, Instant.parse(first)),
         )
         np.testing.assert_array_equal(placed.inputs["gyro"].t_end, [0.5])
     (tmp_path / "gyro.csv").write_text("t_s,x_rad_s\n1483228799,0\n1483228800,1\n")
     for options, says in (
-        ({"stamps": "unix"}, "across a leap second, which they do not tell"),
-        ({"stamps": "mine"}, "found stamps 'mine', expected unix or gps"),
-        ({"stamps": "gps", "epoch": T0}, "expected one of them"),
+        ({"clock": "unix"}, "across a leap second, which they do not tell"),
+        ({"clock": "mine"}, "found 'mine', expected one of none, unix, gps"),
+        ({"clock": "gps", "epoch": T0}, "expected one of them"),
         ({"only": ["camera"]}, "only: found 'camera', expected some of gyro"),
     ):
         with pytest.raises(InputError, match=says):

@@ -59,7 +59,7 @@ def truth_of(recording: Recording, name: str) -> Array:
 
 def test_a_tum_file_has_its_scalar_last_and_its_decimals_are_subtracted(tmp_path: Path) -> None:
     path = tum(tmp_path, f"{UNIX} 1 2 3 {Q['xyzw']}", f"1403636580.763555585 1 2 4 {Q['xyzw']}")
-    found = read_raw("tum", path, {"truth": TRUTH, "time": "unix"})
+    found = read_raw("tum", path, {"truth": TRUTH, "clock": "unix"})
     # 0.763555584 is not what float64 makes of the difference of such stamps.
     assert found.times.tolist() == [0.763555584, 1.763555585]
     assert found.epoch == Instant.parse("2014-06-24T19:02:59 UTC")
@@ -144,10 +144,14 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     "word": ("0 1 2 x 0 0 0 1", {"truth": TRUTH}, "line 2: could not convert string .*'x'"),
     "nan": ("0 1 2 nan 0 0 0 1", {"truth": TRUTH}, "line 2: found a number that is not finite"),
     "time": ("now 1 2 3 0 0 0 1", {"truth": TRUTH}, "line 2: found 'now', expected a time"),
-    "undeclared": (f"{UNIX} 1 2 3 0 0 0 1", {"truth": TRUTH}, "expected data.options.time, the cl"),
-    "boot": ("12 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "unix"}, 'before 1972; .*"none"'),
-    "ns": ("1403636580863555584 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "unix"}, "stamps in s?"),
-    "clock": ("0 1 2 3 0 0 0 1", {"truth": TRUTH, "time": "utc"}, "found 'utc', expected one of n"),
+    "undeclared": (f"{UNIX} 1 2 3 0 0 0 1", {"truth": TRUTH}, "expected data.options.clock, the c"),
+    "boot": ("12 1 2 3 0 0 0 1", {"truth": TRUTH, "clock": "unix"}, 'before 1972; .*"none"'),
+    "ns": ("1403636580863555584 1 2 3 0 0 0 1", {"truth": TRUTH, "clock": "unix"}, "stamps in s?"),
+    "clock": (
+        "0 1 2 3 0 0 0 1",
+        {"truth": TRUTH, "clock": "utc"},
+        "found 'utc', expected one of n",
+    ),
     "quantity": ("0 1 2 3 0 0 0 1", {"truth": {"rate": "w"}}, "found 'rate', expected one of posi"),
     "sensor": ("0 1 2 3 0 0 0 1", {"measured": "bored"}, "found 'bored', .* board, fix, stars"),
     "other": ("0 1 2 3 0 0 0 1", {"measured": {"pose": "fix"}}, "a pose for 'fix', which meas"),
@@ -200,12 +204,12 @@ def test_a_track_through_tum_has_the_same_bits(tmp_path: Path) -> None:
     np.testing.assert_allclose(matrices, track.value("relative_attitude"), atol=1e-15)
     # The stamps of another clock, and back.
     write_track("tum", track, path, origin="1403636579")
-    again = read_raw("tum", path, {"truth": TRUTH, "time": "unix"})
+    again = read_raw("tum", path, {"truth": TRUTH, "clock": "unix"})
     np.testing.assert_array_equal(again.times, track.t)
     assert "1403636579.0" in path.read_text()
     write_track("tum", track, path, epoch="2014-06-24T19:02:59 UTC")
     assert path.read_text().splitlines()[2].startswith("1403636579.0")
-    same = read_raw("tum", path, {"truth": TRUTH, "time": "unix"})
+    same = read_raw("tum", path, {"truth": TRUTH, "clock": "unix"})
     np.testing.assert_array_equal(same.times, track.t)
     path.write_text("0 1 2 3 0 0 0 1\n")  # somebody's own
     with pytest.raises(InputError, match=r"out\.tum: is not of this package"):

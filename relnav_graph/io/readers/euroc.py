@@ -66,7 +66,7 @@ def read(
     inverse: bool = False,
     samples: str = "mean",
     file: str = "",
-    time: str = "unix",
+    clock: str = "unix",
     origin: str | int | float | None = None,
 ) -> Recording:
     """The poses of one file, and samples of the IMU beside it.
@@ -75,7 +75,7 @@ def read(
     `relnav_graph.io.declared`; quantities are position, attitude, velocity, rate_bias and
     acceleration_bias; rate and acceleration. path: the folder of a sequence, a table of states or,
     where inputs alone are asked for, one of the IMU. file: a part of the name of the table of
-    states, in a folder with several; time, origin: the clock of the stamps, see
+    states, in a folder with several; clock, origin: that of the stamps, see
     `relnav_graph.io.clocks.Clock`; whole nanoseconds are subtracted as such.
 
     Raises InputError without a role, and, with file and line, on rows of another form, stamps that
@@ -91,15 +91,15 @@ def read(
         samples_of = numbers(file_of(path, _SAMPLES), _IMU, ",")
     tables = {name: one for name, one in (("s", states), ("i", samples_of)) if one is not None}
     stamps = {name: _stamps(one) for name, one in tables.items()}
-    clock, first = Clock(time, origin), min(int(s.min()) for s in stamps.values())
-    begin = clock.begin(str(path), first)
+    read_by, first = Clock(clock, origin), min(int(s.min()) for s in stamps.values())
+    begin = read_by.begin(str(path), first)
     found = Collected(known, path.name)
     if states is not None:
-        motion = _states(states, clock.seconds(stamps["s"], begin))
+        motion = _states(states, read_by.seconds(stamps["s"], begin))
         found.add(motion, roles.only("truth", "measured"))
     if samples_of is not None:
-        t, values = clock.seconds(stamps["i"], begin), samples_of.values
+        t, values = read_by.seconds(stamps["i"], begin), samples_of.values
         rising(samples_of.where, t)
         parts = {"rate": values[:, :3].copy(), "acceleration": values[:, 3:].copy()}
         found.add(Motion(t, parts, samples_of.where), roles.only("inputs"))
-    return found.recording(clock.settings(begin))
+    return found.recording(read_by.settings(begin))

@@ -67,14 +67,14 @@ def read(
     file: str = "",
     times: str = "",
     rate: str | float | None = None,
-    time: str = "none",
+    clock: str = "none",
     origin: str | int | float | None = None,
 ) -> Recording:
     """The poses of one file.
 
     truth, measured, inverse: what they are to be, see `relnav_graph.io.declared`; file: a part of
     the name, in a folder with several; times: name of the file of times beside it, or rate: Hz, of
-    the rows; time, origin: the clock of the times, see `relnav_graph.io.clocks.Clock`.
+    the rows; clock, origin: that of the times, see `relnav_graph.io.clocks.Clock`.
 
     Raises InputError without a role or times, and, with file and line, on rows of another form,
     times that do not rise, and matrices that are no rotations within 1e-3.
@@ -83,4 +83,4 @@ def read(
     patterns = ("*.kitti", "poses.txt", "[0-9]*.txt", "*.txt")
     rows = numbers(file_of(path, patterns, file), _COLUMNS, stamped=False)
     stamps = _stamps(rows, times, rate)
-    return poses(known, roles, rows, Clock(time, origin), stamps, _pose)
+    return poses(known, roles, rows, Clock(clock, origin), stamps, _pose)

@@ -60,14 +60,14 @@ def read(
     topics: Mapping[str, Mapping[str, Any]],
     stamps: str = "header",
     arrival: bool = False,
-    time: str = "unix",
+    clock: str = "unix",
     origin: str | int | float | None = None,
 ) -> Recording:
     """Some topics of a bag.
 
     topics: by name what they are to be, see `relnav_graph.io.declared`; stamps: "header", when it
     was so, or "receive", when the bag got it, for drivers that fill no header; arrival: what is
-    measured becomes known when the bag got it; time, origin: the clock of the stamps, see
+    measured becomes known when the bag got it; clock, origin: that of the stamps, see
     `relnav_graph.io.clocks.Clock` ("none" for a simulated one); whole nanoseconds are subtracted as
     such.
 
@@ -78,12 +78,12 @@ def read(
     if stamps not in _STAMPS:
         raise InputError(f"data.options.stamps: found {stamps!r}, expected header or receive")
     found = read_topics(bag, [*roles], [*TYPES], stamps == "header")
-    clock = Clock(time, origin)
-    begin = clock.begin(str(bag), min(int(topic.stamps[0]) for topic in found.values()))
+    read_by = Clock(clock, origin)
+    begin = read_by.begin(str(bag), min(int(topic.stamps[0]) for topic in found.values()))
     collected = Collected(known, bag.name)
     for name, topic in found.items():
-        t = clock.seconds(topic.stamps, begin)
-        known_at = clock.seconds(topic.received, begin) if arrival else None
+        t = read_by.seconds(topic.stamps, begin)
+        known_at = read_by.seconds(topic.received, begin) if arrival else None
         motion = motion_of(topic.kind, topic.messages, t, topic.where, known_at)
         collected.add(motion, roles[name])
-    return collected.recording(clock.settings(begin))
+    return collected.recording(read_by.settings(begin))

@@ -97,7 +97,7 @@ def read(
     given = {"sensors": sensors, "inputs": inputs, "truth": truth}
     targets = targets_of(given, time, known)
     files = _files(path, targets, file, (separator, header, skip))
-    clocks = {(t.time.clock.time, str(t.time.clock.origin)) for t in targets}
+    clocks = {(t.time.clock.name, str(t.time.clock.origin)) for t in targets}
     if len(clocks) > 1:
         raise InputError(f"data.options: found stamps of the clocks {sorted(clocks)}, expected one")
     clock = targets[0].time.clock

@@ -8,21 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
+from relnav_graph.io.clocks import Clock
 from relnav_graph.io.dataset import read_dataset
 from relnav_graph.io.known import Known
-from relnav_graph.maths.instants import Instant, leap_seconds
+from relnav_graph.maths.instants import Instant
 
 __all__ = ["read"]
-
-#: Modified Julian days at which clocks of other programs begin.
-_UNIX, _GPS = 40587, 44244
-_DAY = 86400.0
 
 
 def read(
@@ -30,16 +28,15 @@ def read(
     known: Known,
     only: Sequence[str] = (),
     epoch: str = "",
-    stamps: str = "",
+    clock: str = "none",
     sort: bool = False,
 ) -> Recording:
     """The tables of a folder.
 
     only: names of the sensors and inputs to read, by default all that are there; epoch: the
-    absolute time of a stamp of 0, as "2021-07-17T00:00:00 UTC"; stamps: "unix", seconds of UTC
-    since 1970 without leap seconds, or "gps", seconds since 1980-01-06; sort: put rows in order of
-    time. Without these, and without
-    a dataset.toml that says it, stamps are of the clock of the pass. Where truth stands alone,
+    absolute time of a stamp of 0, as "2021-07-17T00:00:00 UTC"; or clock: that of the stamps, see
+    `relnav_graph.io.clocks.Clock`; sort: put rows in order of time. Without these, and without a
+    dataset.toml that says it, stamps are of the clock of the pass. Where truth stands alone,
     without measurements and epochs, its times are the epochs.
 
     Raises InputError on tables that are damaged, when none is there, on a name that is not of the
@@ -49,8 +46,9 @@ def read(
     unknown = [n for n in only if n not in names]
     if unknown:
         raise InputError(f"only: found {unknown[0]!r}, expected some of {', '.join(sorted(names))}")
-    if epoch and stamps:
-        raise InputError(f"found epoch {epoch!r} and stamps {stamps!r}, expected one of them")
+    if epoch and clock != "none":
+        raise InputError(f"found epoch {epoch!r} and clock {clock!r}, expected one of them")
+    absolute = Clock(clock) if clock != "none" else None
     chosen = set(only) or names
 
     def taken(origin: float) -> Recording:
@@ -71,17 +69,20 @@ def read(
     found = taken(origin)
     if not (found.measurements or found.inputs or found.truth):
         raise InputError(f"{folder}: found no table of {', '.join(sorted(chosen))}")
-    if (epoch or stamps) and not origin:  # whole seconds, so that no digit of late stamps is lost
+    if (epoch or absolute) and not origin:  # whole seconds, so that no digit of late stamps is lost
         origin = float(np.floor(min(_ends(found))))
         found = taken(origin)
     truth = found.truth
     if not len(found.times) and truth and any(n not in known.statics for n in truth.values):
         found = replace(found, times=truth.t)  # sensors are simulated there, if at all
     zero = found.epoch
-    if epoch or stamps:
-        ends = [t + origin for t in _ends(found)]
-        zero = Instant.parse(epoch) if epoch else _begin(folder, ends, stamps)
-    time = {"origin": 0.0} if zero is None else {"epoch": str(zero.after(origin))}
+    if epoch:
+        zero = Instant.parse(epoch).after(origin)
+    elif absolute:
+        zero = _begin(folder, absolute, origin, _ends(found))
+    elif zero is not None:
+        zero = zero.after(origin)
+    time = {"origin": 0.0} if zero is None else {"epoch": str(zero)}
     return replace(found, settings={**found.settings, "time": time})
 
 
@@ -95,18 +96,13 @@ def _ends(found: Recording) -> list[float]:
     return [min(times), max(times)]
 
 
-def _begin(folder: Path, ends: Sequence[float], stamps: str) -> Instant:
-    """When a stamp of 0 is, counted back in seconds of today. ends: the first and the last stamp,
-    s."""
-    if stamps == "gps":
-        return Instant.of(_GPS, 0.0, "GPS")
-    if stamps != "unix":
-        raise InputError(f"found stamps {stamps!r}, expected unix or gps")
-    first, last = (_UNIX + int(t // _DAY) for t in ends)
-    leaps = leap_seconds(first)
-    if leap_seconds(last) != leaps:
+def _begin(folder: Path, clock: Clock, origin: float, ends: Sequence[float]) -> Instant:
+    """When t = 0 is. origin: the stamp of it, s; ends: the first and the last time, s."""
+    first, last = (Decimal(origin) + Decimal(t) for t in ends)
+    clock.begin(str(folder), first)
+    if clock.seconds([last], first)[0] != float(last - first):
         raise InputError(
             f"{folder}: found Unix stamps across a leap second, which they do not tell; expected"
             " another clock"
         )
-    return Instant.of(_UNIX, float(leaps), "TAI")
+    return Instant.parse(clock.settings(Decimal(origin))["time"]["epoch"])

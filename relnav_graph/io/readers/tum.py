@@ -35,14 +35,14 @@ def read(
     measured: str | Sequence[str] | Mapping[str, str] | None = None,
     inverse: bool = False,
     file: str = "",
-    time: str = "none",
+    clock: str = "none",
     origin: str | int | float | None = None,
 ) -> Recording:
     """The poses of one file.
 
     truth, measured, inverse: what they are to be, see `relnav_graph.io.declared`; with
     R_tc, r_tc_t in mind the file's frame is t and its body c; inverse: the other way round. file: a
-    part of the name, in a folder with several; time, origin: the clock of the stamps, see
+    part of the name, in a folder with several; clock, origin: that of the stamps, see
     `relnav_graph.io.clocks.Clock`; decimals are subtracted as written.
 
     Raises InputError without a role, and, with file and line, on rows of another form, times that
@@ -50,4 +50,4 @@ def read(
     """
     roles = Roles.of("data.options", truth, measured, None, inverse)
     rows = numbers(file_of(path, ("*.tum", "*.txt"), file), _COLUMNS)
-    return poses(known, roles, rows, Clock(time, origin), rows.stamps, _pose)
+    return poses(known, roles, rows, Clock(clock, origin), rows.stamps, _pose)
