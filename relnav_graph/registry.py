@@ -12,6 +12,7 @@ import importlib.util
 import inspect
 import logging
 import pkgutil
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
@@ -24,17 +25,20 @@ from relnav_graph.errors import ModelError
 
 __all__ = [
     "classes",
+    "documented",
     "find_class",
     "find_function",
     "look_beside",
     "module_by_suffix",
     "modules",
-    "parameters",
+    "options",
     "provides",
     "wrong_options",
 ]
 
 
+#: What the docstring of a reader or writer points at.
+_POINTED = re.compile(r"`(relnav_graph\.io\.[\w.]+)`")
 _LOG = logging.getLogger(__name__)
 #: The distribution whose own packages must be whole.
 _OWN = "relnav-graph"
@@ -221,9 +225,9 @@ def find_function(module: str, name: str) -> Callable[..., Any]:
     return found
 
 
-def parameters(function: Callable[..., Any], first: int) -> list[str]:
-    """Names of the parameters of a function after the `first` ones: the options that it takes."""
-    return list(inspect.signature(function).parameters)[first:]
+def options(function: Callable[..., Any], first: int) -> Mapping[str, inspect.Parameter]:
+    """The options that a function takes, by name: its parameters after the `first` ones."""
+    return dict(list(inspect.signature(function).parameters.items())[first:])
 
 
 def wrong_options(
@@ -231,7 +235,7 @@ def wrong_options(
 ) -> str:
     """What is wrong with the names of options `given` to a function: one that it does not take, or
     none that it needs; "" where nothing is. besides: parameters that are no options."""
-    taken = dict(list(inspect.signature(function).parameters.items())[first:])
+    taken = options(function, first)
     names = [name for name in taken if name not in set(besides)]
     given = list(given)
     unknown = [name for name in given if name not in names]
@@ -239,3 +243,26 @@ def wrong_options(
         return f"unknown option {unknown[0]!r}; known are {names}"
     lacks = [n for n in names if n not in given and taken[n].default is inspect.Parameter.empty]
     return f"found no option {lacks[0]!r}, expected it; known are {names}" if lacks else ""
+
+
+def documented(found: Mapping[str, str], name: str, function: str) -> dict[str, str]:
+    """What docstrings say of one of the modules found, and of its function: under "", and then of
+    what these point at in `relnav_graph.io`, and what that points at, by its name there.
+
+    Raises ModelError when the module cannot be imported, or has no such function.
+    """
+    own = find_function(found[name], function)
+    texts = {"": "\n\n".join(inspect.getdoc(a) or "" for a in (sys.modules[found[name]], own))}
+    waiting = _POINTED.findall(texts[""])
+    while waiting:
+        name = waiting.pop(0)
+        if name in texts:
+            continue
+        try:
+            thing: Any = importlib.import_module(name)
+        except ImportError:
+            module, _, attribute = name.rpartition(".")
+            thing = getattr(importlib.import_module(module), attribute)
+        texts[name] = inspect.getdoc(thing) or ""
+        waiting += _POINTED.findall(texts[name])
+    return texts

@@ -1,4 +1,4 @@
-"""Pages that are made from the package itself: models, estimators, the scenario file.
+"""Pages that are made from the package itself: models, estimators, formats, the scenario file.
 
 They are written below reference/generated/ when a build begins. Docstrings of the package are prose
 with formulas in plain letters; `prose` makes of them what reStructuredText reads as that.
@@ -9,11 +9,13 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from relnav_graph.registry import classes
+from relnav_graph.io import readers, writers
+from relnav_graph.registry import classes, documented
+from relnav_graph.scenario.keys import tables
 from relnav_graph.units import Quantity, quantities
 
 #: What stays as it is (literals, *words*), code, and letters that would mark something up.
@@ -81,7 +83,7 @@ def _section(title: str, mark: str) -> list[str]:
 def _table(header: list[str], rows: list[list[str]], widths: str = "auto") -> list[str]:
     if not rows:
         return []
-    if not any(row[2] for row in rows):  # nothing is said of any
+    if len(header) > 2 and not any(row[2] for row in rows):  # nothing is said of any
         header, rows = [header[0], header[1], *header[3:]], [[*r[:2], *r[3:]] for r in rows]
     out = [".. list-table::", "   :header-rows: 1", f"   :widths: {widths}", ""]
     for row in [header, *rows]:
@@ -193,77 +195,41 @@ def _others() -> list[str]:
     return out
 
 
-def _said(schema: dict[str, Any], defs: dict[str, Any]) -> str:
-    """The type that a piece of the schema allows, in words."""
-    if "$ref" in schema:
-        return f"table, see `{schema['$ref'].rsplit('/', 1)[1]}`_"
-    if "enum" in schema:
-        return " or ".join(f"``{value!r}``" for value in schema["enum"])
-    if "const" in schema:
-        return f"``{schema['const']!r}``"
-    if "anyOf" in schema:
-        parts = [_said(one, defs) for one in schema["anyOf"]]
-        both = {"number", "text"} <= set(parts)
-        parts = [p for p in parts if p != "nothing" and not (both and p in ("number", "text"))]
-        return " or ".join(dict.fromkeys([*(["number, or text with its unit"] * both), *parts]))
-    kind = schema.get("type")
-    if kind == "array":
-        return f"list of {_said(schema['items'], defs)}" if "items" in schema else "list"
-    names = {"string": "text", "object": "table", "null": "nothing", "boolean": "true or false"}
-    return names.get(str(kind), str(kind) if kind else "anything")
-
-
-#: What stands at the top of a scenario file; the schema says of it what it may be.
-TOP = {
-    "title": "a line, with the name of the scenario before a colon",
-    "description": "what it is, and where its numbers are from",
-    "base": "the scenario, or scenarios, that this one changes; later ones win",
-    "seed": "root of all random numbers",
-    "estimators": "those that ``relnav compare`` runs, where none is named",
-    "evaluate": "the part of the pass that is scored, as fractions or times",
-    "time": "step, epochs, absolute time",
-    "data": "recorded data, and how they are read",
-    "online": "the window of what runs online",
-    "orbit": "of the target; the chaser's own where it is estimated",
-    "truth": "what is true in a simulated pass, ``statics`` and ``map`` of recorded ones, too",
-    "truth_noise": "one sigma of a truth that was measured",
-    "score": "axes in which vectors are compared, blocks that are left out",
-    "control": "the controller of a loop",
-    "inputs": "instruments, such as a gyro, by name: how they are simulated",
-    "gaps": "how gaps of an input are bridged, by its name",
-    "stamps": "lag and jitter of clocks, by name of an input or a sensor",
-    "processes": "how states go on, by name: any of the processes",
-    "sensors": "what is measured, by name: any of the sensors, with gate, loss, period",
-    "prior": "what is known beforehand, by the name of a state",
-}
-
-
-def _rows(
-    properties: dict[str, Any], defs: dict[str, Any], about: Mapping[str, str]
-) -> list[list[str]]:
-    rows = []
-    for name, schema in properties.items():
-        what = about.get(name) or " ".join(prose(schema.get("description", "")))
-        default = schema.get("default")
-        plain = isinstance(default, (int, float, str)) and default != ""
-        rows.append([f"``{name}``", _said(schema, defs), what, f"``{default!r}``" if plain else ""])
-    return rows
+def _formats() -> list[str]:
+    """Readers and writers with their options, and then what their docstrings point at."""
+    out, pointed = _section("Readers and writers, by name", "="), dict[str, str]()
+    out += ["What ``relnav list NAME`` prints of each.", ""]
+    for title, found, function, options_of in (
+        ("Reader", readers.readers(), "read", readers.options_of),
+        ("Writer", writers.writers(), "write", writers.options_of),
+    ):
+        for name in found:
+            texts = documented(found, name, function)
+            out += [*_section(f"{title} ``{name}``", "-"), *prose(texts.pop(""))]
+            rows = []
+            for option, one in options_of(name).items():
+                must = one.default is inspect.Parameter.empty
+                default = "must be given" if must else f"``{one.default!r}``"
+                rows.append([f"``{option}``", default])
+            out += _table(["option", "default"], rows)
+            pointed |= texts
+    for name, text in sorted(pointed.items()):
+        out += [*_section(f"``{name}``", "-"), *prose(text)]
+    return out
 
 
 def _scenario_file() -> list[str]:
-    from relnav_graph.scenario.json_schema import json_schema
-
-    schema = json_schema()
-    defs = schema["$defs"]
     header = ["key", "type", "what", "default"]
-    out = [*_section("Tables of a scenario file", "="), *prose(schema["description"])]
-    if missing := set(schema["properties"]) - set(TOP):
-        raise KeyError(f"{missing}: no word on these keys in TOP")
-    out += [*_section("Top level", "-"), *_table(header, _rows(schema["properties"], defs, TOP))]
-    for name, one in defs.items():
-        if "properties" in one:
-            out += [*_section(name, "-"), *prose(one.get("description", ""))]
-            out += _table(header, _rows(one["properties"], defs, {}))
+    out = _section("Tables of a scenario file", "=")
+    for table in tables():
+        out += [*_section(table.name, "-"), *prose(table.text)]
+        rows = []
+        for key in table.keys:
+            said = re.sub(r"\bsee (\w+)$", r"see `\1`_", key.type)
+            said = re.sub(r"'\w*'", r"``\g<0>``", said)
+            what = " ".join(prose(key.text))
+            rows.append([f"``{key.name}``", said, what, key.default and f"``{key.default}``"])
+        out += _table(header, rows)
     return out
 
 
@@ -282,6 +248,7 @@ def write_pages(app: Any) -> None:
         _write(folder / f"{room}.rst", _models(room))
     _write(folder / "estimators.rst", _estimators())
     _write(folder / "truths.rst", _others())
+    _write(folder / "formats.rst", _formats())
     _write(folder / "scenario_file.rst", _scenario_file())
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import inspect
+import textwrap
+from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -15,9 +18,10 @@ from relnav_graph import estimators
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Derived, Dynamics, Sensor
 from relnav_graph.errors import InputError
-from relnav_graph.io.readers import readers
-from relnav_graph.io.writers import writers
-from relnav_graph.registry import classes, provides
+from relnav_graph.io import readers as read_by
+from relnav_graph.io import writers as written_by
+from relnav_graph.registry import classes, documented, provides
+from relnav_graph.scenario.keys import tables
 from relnav_graph.scenario.shipped import shipped
 from relnav_graph.scenario.toml import read_toml
 from relnav_graph.sim.contracts import GROUP as TRUTHS
@@ -72,13 +76,62 @@ def _describe(kind: str, cls: type) -> None:
         _section("Parameters", rows)
 
 
+#: What reads and what writes: modules by name, the function of each, and the options of one.
+_FORMATS = {
+    "Reader": (read_by.readers, "read", read_by.options_of),
+    "Writer": (written_by.writers, "write", written_by.options_of),
+}
+
+
+def _summaries(found: Mapping[str, str], what: str) -> dict[str, str]:
+    """The first sentence of each module's docstring; of one that cannot be imported, why."""
+    rows = {}
+    for name, module in found.items():
+        try:
+            text = inspect.getdoc(importlib.import_module(module)) or ""
+        except (Exception, SystemExit) as error:  # it may be a stranger's code
+            text = f"cannot be imported: {type(error).__name__}: {error}"
+        first = " ".join(text.split("\n\n")[0].split())
+        rows[name] = first.removeprefix(f"{what} of ").removesuffix(".")
+    return rows
+
+
+def _describe_format(name: str) -> None:
+    """What reads and what writes files of a name, with the options of both."""
+    for what, (found, function, options_of) in _FORMATS.items():
+        if name not in found():
+            continue
+        texts = documented(found(), name, function)
+        click.echo(f"{name}, a {what.lower()}\n\n{texts.pop('')}\n")
+        options = {}
+        for option, one in options_of(name).items():
+            must = one.default is inspect.Parameter.empty
+            options[option] = "must be given" if must else f"default {one.default!r}"
+        if options:
+            _section("Options", options)
+        for where, text in texts.items():
+            click.echo(f"{where}\n\n{textwrap.indent(text, '  ')}\n")
+
+
+def _describe_keys() -> None:
+    """The keys of a scenario file."""
+    for table in tables():
+        click.echo(f"{table.name}\n\n{textwrap.indent(table.text, '  ')}\n")
+        rows = {}
+        for key in table.keys:
+            default = key.default and f"default {key.default}"
+            rows[key.name] = "; ".join(part for part in (key.type, key.text, default) if part)
+        _section("  Keys", {f"  {name}": text for name, text in rows.items()})
+
+
 @click.command("list")
-@click.argument("what", metavar="[FOLDER|KIND]", required=False)
+@click.argument("what", metavar="[FOLDER|KIND|FORMAT|scenario]", required=False)
 def command(what: str | None) -> None:
     """List models, estimators, truths, readers, writers, and the scenarios in FOLDER.
 
     Without one, the scenarios that come with the package, which every command finds by name. Of a
-    KIND of model, truth, instrument or estimator: what it is, and its parameters.
+    KIND of model, truth, instrument or estimator: what it is, and its parameters. Of a FORMAT that
+    is read or written: how, and its options. Of the word scenario: the keys of a scenario file.
     """
     folder = None if what is None else Path(what)
     found = classes(models.ENTRY_POINTS)
@@ -86,10 +139,17 @@ def command(what: str | None) -> None:
     if what in every:
         _describe(what, every[what])
         return
+    formats = [name for found, *_ in _FORMATS.values() for name in found()]
+    if what == "scenario":
+        _describe_keys()
+        return
+    if what in formats:
+        _describe_format(what)
+        return
     if folder is not None and not folder.is_dir():
-        near = get_close_matches(str(what), every, 1)
+        near = get_close_matches(str(what), [*every, *formats, "scenario"], 1)
         raise InputError(
-            f"{folder}: no such folder, and no such kind{f'; is it {near[0]}?' if near else ''}"
+            f"{folder}: no such folder, kind or format{f'; is it {near[0]}?' if near else ''}"
         )
     for title, contract in (
         ("Sensors", Sensor),
@@ -99,8 +159,8 @@ def command(what: str | None) -> None:
         _section(title, {k: _first_line(c) for k, c in found.items() if provides(c, contract)})
     for title, group in (("Estimators", estimators.GROUP), ("Truth and inputs", TRUTHS)):
         _section(title, {k: _first_line(c) for k, c in classes(group).items()})
-    _section("Readers of recorded data", dict.fromkeys(readers(), ""))
-    _section("Writers of tracks", dict.fromkeys(writers(), ""))
+    for title, (names, *_) in _FORMATS.items():
+        _section(f"{title}s", _summaries(names(), title))
     files = shipped() if folder is None else {str(p): p for p in sorted(folder.glob("*.toml"))}
     scenarios = {}
     for name, path in files.items():

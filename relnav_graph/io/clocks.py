@@ -27,7 +27,7 @@ Stamps = NDArray[np.int64] | Sequence[Decimal]
 NANO = 1_000_000_000
 _DAY = 86400
 #: Of each clock that is absolute: the modified Julian day and the second of it of its zero, and its
-#: time scale. unix: without leap seconds, as computers count; tai: as CLOCK_TAI; tt: from J2000.
+#: time scale.
 CLOCKS: dict[str, tuple[int, int, str]] = {
     "unix": (40587, 0, "UTC"),
     "gps": (44244, 0, "GPS"),
@@ -68,10 +68,12 @@ def _leaps(day: int) -> int:
 class Clock:
     """Of which clock stamps are, and which of them is t = 0.
 
-    name: "none" (seconds of a clock of its own), or one of `CLOCKS`; origin: the stamp, s, of t =
-    0, as text or a whole number. Without it t = 0 is the whole second at or before the first stamp
-    of an absolute clock, and zero of a clock of its own. Raises InputError on another clock, and on
-    an origin that is no number.
+    name: "none", seconds of a clock of its own; "unix", without leap seconds, as computers count
+    since 1970; "gps", since 1980-01-06; "tai", as CLOCK_TAI counts since 1970; "tt" or "gps2000",
+    of TT or GPS since 2000-01-01T12:00:00 of that scale. origin: the stamp, s, of t = 0, as text
+    or a whole number. Without it t = 0 is the whole second at or before the first stamp of an
+    absolute clock, and zero of a clock of its own. Raises InputError on another clock, and on an
+    origin that is no number.
     """
 
     name: str = "none"

@@ -38,10 +38,11 @@ _MJD = Decimal("2400000.5")
 class StampColumn:
     """Which column has the stamps, and what they are.
 
-    Numbers of a clock: `clock`, "none" or one of `relnav_graph.io.clocks.CLOCKS`, with `unit`, and
-    maybe `origin`, the stamp of t = 0, s. Or dates: `calendar`, a time scale, of texts as
-    2021-07-17T00:00:00.5 or 17 Jul 2021 00:00:00.5, or, with the unit "days", of days after
-    `day_zero`, a Julian date: by default modified Julian days, GMAT's are 2430000.
+    Numbers of a clock: `column`, its name; `unit`, ns, us, ms, s, min, h or days; `clock`, "none"
+    or another name of `relnav_graph.io.clocks.Clock`; and maybe `origin`, the stamp of t = 0, s.
+    Or dates: `calendar`, a time scale, of texts as 2021-07-17T00:00:00.5 or
+    17 Jul 2021 00:00:00.5, or, with the unit "days", of days after `day_zero`, a Julian date: by
+    default modified Julian days, GMAT's are 2430000.
     """
 
     where: str

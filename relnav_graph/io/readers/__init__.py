@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Mapping
+from inspect import Parameter
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,20 @@ from relnav_graph.registry import (
     find_function,
     module_by_suffix,
     modules,
-    parameters,
+    options,
     wrong_options,
 )
 
-__all__ = ["GROUP", "asks", "by_suffix", "options_wrong", "read_raw", "readers", "takes_files"]
+__all__ = [
+    "GROUP",
+    "asks",
+    "by_suffix",
+    "options_of",
+    "options_wrong",
+    "read_raw",
+    "readers",
+    "takes_files",
+]
 
 GROUP = "relnav_graph.readers"
 #: The parameter of a reader that is not an option.
@@ -58,7 +68,13 @@ def by_suffix(path: Path) -> str | None:
 
 def asks(name: str) -> bool:
     """Whether a reader asks for what the scenario knows. Raises InputError on an unknown one."""
-    return _KNOWN in parameters(find_function(_module(name), "read"), 1)
+    return _KNOWN in options(find_function(_module(name), "read"), 1)
+
+
+def options_of(name: str) -> Mapping[str, Parameter]:
+    """The options of a reader, by name. Raises InputError on an unknown one."""
+    taken = options(find_function(_module(name), "read"), 1)
+    return {option: one for option, one in taken.items() if option != _KNOWN}
 
 
 def options_wrong(name: str, options: Any) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Mapping
+from inspect import Parameter
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from relnav_graph.registry import (
     find_function,
     module_by_suffix,
     modules,
-    parameters,
+    options,
     wrong_options,
 )
 
@@ -41,9 +42,9 @@ def by_suffix(path: Path) -> str | None:
     return module_by_suffix(writers(), path)
 
 
-def options_of(name: str) -> list[str]:
-    """Names of the options of a writer. Raises InputError on an unknown one."""
-    return parameters(find_function(_module(name), "write"), 2)
+def options_of(name: str) -> Mapping[str, Parameter]:
+    """The options of a writer, by name. Raises InputError on an unknown one."""
+    return options(find_function(_module(name), "write"), 2)
 
 
 def fills_folder(name: str, path: Path) -> bool:
