@@ -175,6 +175,31 @@ def bridged(
     return {name: sum(b - a for a, b in parts) for name, parts in gaps.items() if parts}
 
 
+#: An input whose samples and whole length are so many times, at least, and so many times, between,
+#: those of the epochs (or the other way round) has stamps in another unit.
+COARSER, LONGER = 5.0, (300.0, 3000.0)
+
+
+def _check_stamps(times: Array, series: InputSeries) -> None:
+    """Raise InputError where epochs at times (N,), s, and samples of an input look as if stamps of
+    one of them were in ms."""
+    if len(times) < 2 or not len(series.t_start):
+        return
+    step, apart = float(np.median(series.t_end - series.t_start)), float(np.median(np.diff(times)))
+    whole, over = float(series.t_end[-1] - series.t_start[0]), float(times[-1] - times[0])
+    ms = {
+        "the stamps of the input": (step / apart, whole / over),
+        "those of the measurements": (apart / step, over / whole),
+    }
+    for which, (coarser, longer) in ms.items():
+        if coarser > COARSER and LONGER[0] < longer < LONGER[1]:
+            raise InputError(
+                f"input {series.name!r}: found samples {step:.6g} s apart over {whole:.6g} s, and"
+                f" epochs {apart:.6g} s apart over {over:.6g} s: are {which} in ms? If not, leave"
+                " out what is not of this pass"
+            )
+
+
 def make_epochs(
     processes: Mapping[str, Dynamics],
     measurements: Sequence[Measurement],
@@ -185,8 +210,8 @@ def make_epochs(
     """Epochs at the times of the measurements, or at `times` (N,), s, which must contain them.
 
     What is within `merge`, s, is one epoch, see `epoch_times`; 0: only equal stamps are. Raises
-    InputError on measurements that fall between given times, and when inputs do not cover an
-    interval.
+    InputError on measurements that fall between given times, when inputs do not cover an interval,
+    and where stamps of an input are a thousand times those of the epochs, or these those.
     """
     ordered = sorted(measurements, key=lambda m: m.t)
     stamps = np.array([m.t for m in ordered]) if times is None else np.asarray(times)
@@ -197,6 +222,10 @@ def make_epochs(
         if k == len(stamps) or stamps[k] > m.t + merge:
             raise InputError(f"sensor {m.sensor!r}: measurement at {m.t} s lies between epochs")
         groups[k].append(stamped(m, float(stamps[k])))
+    for process in processes.values():
+        for name in process.inputs:
+            if name in inputs:
+                _check_stamps(stamps, inputs[name])
     epochs = []
     for k, t in enumerate(stamps):
         u, held = {}, dict[str, float]()

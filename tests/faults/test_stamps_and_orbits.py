@@ -12,6 +12,8 @@ import pytest
 from passes import ZHANG, relnav
 from streams import feed, lines_of, session_of
 
+from relnav_graph.core.epochs import make_epochs
+from relnav_graph.core.measurement import InputSeries
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.maths.orbit import KeplerOrbit, chief_motion
@@ -262,3 +264,28 @@ def test_row_48_a_prior_may_be_a_quaternion_with_five_decimals() -> None:
     assert turned == pytest.approx(np.radians(30.0), abs=1e-4)
     with pytest.raises(InputError, match=r"prior\.target_attitude\.mean: found .* unit quaternion"):
         short("prior.target_attitude.mean=[0.9, 0.0, 0.25882, 0.0]")
+
+
+@pytest.mark.parametrize(
+    ("gyro", "camera", "says"),
+    [
+        (1000.0, 1.0, "are the stamps of the input in ms"),
+        (1.0, 1000.0, "are those of the measurements in ms"),
+        (1.0, 1.0, ""),
+        (60.0, 1.0, ""),  # a table that is held, and goes on far beyond the pass
+    ],
+)
+def test_row_38_stamps_of_two_units_are_told_by_their_lengths(
+    gyro: float, camera: float, says: str
+) -> None:
+    """Samples that are a thousand times further apart than they can be cover every epoch."""
+    processes = short().processes
+    (name,) = {n for p in processes.values() for n in p.inputs}
+    edges = gyro * np.arange(0.0, 20.05, 0.1)
+    series = InputSeries(name, edges[:-1], edges[1:], np.zeros((len(edges) - 1, 3)))
+    times = camera * np.arange(0.0, 20.0, 0.5)
+    if says:
+        with pytest.raises(InputError, match=f"input 'gyro': .*apart over .*: {says}"):
+            make_epochs(processes, [], {name: series}, times)
+    else:
+        assert len(make_epochs(processes, [], {name: series}, times)) == 40

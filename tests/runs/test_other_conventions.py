@@ -1,4 +1,4 @@
-"""Attitudes in another convention than they were read in: named, where they cannot fit."""
+"""Data of another convention or unit than they were read in: named, where they cannot fit."""
 
 from __future__ import annotations
 
@@ -63,10 +63,17 @@ def _drawn(turn: Turn) -> tuple[Array, Array, Array]:
     return t, np.hstack(turn(r, q_wxyz)), rate
 
 
-def _written(folder: Path, turn: Turn) -> dict[str, Any]:
-    """The summary of that pass, as tables."""
+def _as_they_are(a: Array, *others: Array) -> Any:
+    return (a, *others) if others else a
+
+
+def _written(
+    folder: Path, turn: Turn = _as_they_are, sampled: Callable[[Array], Array] = _as_they_are
+) -> dict[str, Any]:
+    """The summary of that pass, as tables, its rates as `sampled` has them."""
     (folder / "data").mkdir()
     t, poses, rate = _drawn(turn)
+    rate = sampled(rate)
     for name, columns, values in (
         ("board", "t_s,x_m,y_m,z_m,q_w,q_x,q_y,q_z", poses),
         ("gyro", "t_s,wx_rad_s,wy_rad_s,wz_rad_s", rate),
@@ -84,28 +91,67 @@ def _inverse(r: Array, q: Array) -> tuple[Array, Array]:
     return -R.apply(r), R.as_quat(scalar_first=True)
 
 
-@pytest.mark.parametrize(
-    ("turn", "says"),
-    [
-        (lambda r, q: (r, q), None),
-        (lambda r, q: (r, q * [1, -1, -1, -1]), "is their inverse"),
-        (lambda r, q: (r, q[:, [1, 2, 3, 0]]), "is written with the scalar last:"),
-        (lambda r, q: (r, (q * [1, -1, -1, -1])[:, [1, 2, 3, 0]]), "last, and their inverse"),
-        (lambda r, q: (r, q[:, [3, 0, 1, 2]]), "is written with the scalar first:"),
-        (_inverse, "is the inverse pose"),
-    ],
-)
-def test_the_convention_that_fits_is_named(tmp_path: Path, turn: Any, says: str | None) -> None:
-    found = _written(tmp_path, turn)
-    texts = [c["text"] for c in found["cautions"] if c["name"] == "other convention"]
-    if says is None:
-        assert found["estimators"]["batch"]["status"] == "ok"
-        assert texts == []
-    else:
-        assert found["estimators"]["batch"]["status"] != "ok"
-        (text,) = texts
-        assert "the attitudes of 'board' fit " in text
-        assert says in text
+def _turned(q: Array, r: Array, order: list[int], sign: int = 1) -> tuple[Array, Array]:
+    return r, (q * [1, sign, sign, sign])[:, order]
+
+
+OURS, LAST, FIRST = [0, 1, 2, 3], [1, 2, 3, 0], [3, 0, 1, 2]
+QUATERNIONS = "the quaternions of 'board' are "
+#: What poses may have been written as, and what they are called.
+POSES: list[tuple[Turn, str]] = [
+    (lambda r, q: _turned(q, r, OURS, -1), QUATERNIONS + "those of the inverse rotation:"),
+    (lambda r, q: _turned(q, r, LAST), QUATERNIONS + "written with the scalar last:"),
+    (lambda r, q: _turned(q, r, LAST, -1), "scalar last and those of the inverse rotation:"),
+    (lambda r, q: _turned(q, r, FIRST), QUATERNIONS + "written with the scalar first:"),
+    (lambda r, q: (1000 * r, q), "'board' is in mm:"),
+    (_inverse, "'board' has the inverse pose:"),
+    (
+        lambda r, q: _turned(*_inverse(r, q)[::-1], LAST),
+        "'board' has the inverse pose, its quaternion written with the scalar last:",
+    ),
+]
+#: The same of rates.
+RATES: list[tuple[Callable[[Array], Array], str]] = [
+    (np.rad2deg, "'gyro' is in deg/s:"),
+    (np.deg2rad, "'gyro' is in rad/s, and was taken for deg/s:"),
+    (np.negative, "'gyro' has the other sign:"),
+    (lambda w: w[:, [1, 0, 2]], "x, y, z are y, x, z of 'gyro':"),
+    (lambda w: w[:, [1, 2, 0]] * [1, -1, 1], "x, y, z are z, x, -y of 'gyro':"),
+    (lambda w: w * [1, 1, -1], "x, y, z are x, y, -z of 'gyro':"),
+]
+
+
+def _texts(found: dict[str, Any]) -> list[str]:
+    return [c["text"] for c in found["cautions"] if c["name"] == "other convention"]
+
+
+def test_nothing_is_said_of_what_fits(tmp_path: Path) -> None:
+    found = _written(tmp_path)
+    assert found["estimators"]["batch"]["status"] == "ok"
+    assert _texts(found) == []
+
+
+@pytest.mark.parametrize(("turn", "says"), POSES)
+def test_the_convention_of_poses_that_fits_is_named(tmp_path: Path, turn: Turn, says: str) -> None:
+    (text,) = _texts(_written(tmp_path, turn))
+    assert text.startswith("the pass fits ")
+    assert f"better if {says}" in text or says in text
+
+
+@pytest.mark.parametrize(("sampled", "says"), RATES)
+def test_the_convention_of_rates_that_fits_is_named(
+    tmp_path: Path, sampled: Callable[[Array], Array], says: str
+) -> None:
+    (text,) = _texts(_written(tmp_path, sampled=sampled))
+    assert f"better if {says} is it so?" in text
+
+
+def test_noise_that_is_larger_than_declared_has_no_convention(tmp_path: Path) -> None:
+    """It fits as badly, and nothing else fits better."""
+    rng = np.random.default_rng(4)
+    found = _written(tmp_path, lambda r, q: (r + rng.normal(size=r.shape), q))
+    assert found["estimators"]["ekf"]["status"] != "ok"
+    assert _texts(found) == []
 
 
 @pytest.mark.parametrize("mean", ["measured", [0.96, 0.25, -0.1, 0.05]])
@@ -130,7 +176,7 @@ def test_arrays_in_another_order_are_named_by_the_track(swapped: bool, mean: Any
         assert (track.status == "ok", [c.name for c in track.cautions]) == (not swapped, names)
         assert track.smoothed is None or track.smoothed.cautions[:1] == track.cautions[:1]
         shown = " ".join(repr(track).split())
-        assert ("if what was read is written with the scalar last: which" in shown) == swapped
+        assert ("of 'board' are written with the scalar last: is it so?" in shown) == swapped
 
 
 def test_what_is_written_of_the_pass_has_the_caution(tmp_path: Path) -> None:
