@@ -8,8 +8,9 @@ from typing import Any
 
 from relnav_graph.report.contents import WorstRun
 from relnav_graph.report.figures import KINDS, plain
+from relnav_graph.scoring.noise_verdict import noise_said
 from relnav_graph.scoring.text import ALIGNMENT
-from relnav_graph.scoring.told import noise_said, value_text
+from relnav_graph.scoring.told import value_text
 
 __all__ = ["Cell", "Table", "number"]
 

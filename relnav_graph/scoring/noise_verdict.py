@@ -13,7 +13,7 @@ from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.problem import Problem
 from relnav_graph.scoring.variance_components import PRIOR, NoiseResiduals, estimate_factors
 
-__all__ = ["NOTABLE", "cause_text", "noise_factors", "noise_owners", "noise_verdict"]
+__all__ = ["NOTABLE", "cause_text", "noise_factors", "noise_owners", "noise_said", "noise_verdict"]
 
 #: A noise is named as a likely cause where its variance factor is this many of its sigmas
 #: from 1, and its sigma is wrong by more than this factor, up or down.
@@ -58,6 +58,15 @@ def noise_factors(names: Sequence[str], squares: Array, coupling: Array) -> list
     return out
 
 
+def noise_said(noise: Mapping[str, Any]) -> str:
+    """What is said of a declared noise that was tested. Few rows cannot name it as a cause; where
+    its interval is beside one all the same, they are no proof that it is none."""
+    low, high = noise["factor_ci"]
+    if noise["named"]:
+        return "likely cause"
+    return "as declared" if low <= 1 <= high else "in doubt"
+
+
 def cause_text(noise: Mapping[str, Any], owners: Mapping[str, str]) -> str:
     """What is wrong with a noise that is a likely cause, of `noise_factors`, in words."""
     factor, (low, high) = noise["factor"], noise["factor_ci"]
@@ -69,6 +78,17 @@ def cause_text(noise: Mapping[str, Any], owners: Mapping[str, str]) -> str:
         f"{noise['noise']} is declared {factor:.2f} times {size} ({low:.2f} to {upper}):"
         f" {owners.get(noise['noise'], '')}"
     )
+
+
+def _but(tested: Sequence[Mapping[str, Any]]) -> str:
+    """Noises that are no cause, and not quite as declared either."""
+    doubted = [
+        f"{n['noise']} ({n['factor']:.2f} times, {low:.2f} to {high:.2f})"
+        for n in tested
+        if noise_said(n) == "in doubt"
+        for low, high in (n["factor_ci"],)
+    ]
+    return f", but for {', '.join(doubted)}, which is in doubt" if doubted else ""
 
 
 def noise_verdict(problem: Problem, row: str, found: NoiseResiduals) -> dict[str, Any]:
@@ -84,7 +104,7 @@ def noise_verdict(problem: Problem, row: str, found: NoiseResiduals) -> dict[str
     text = [f"Likely cause: {cause_text(n, owners)}." for n in causes]
     tested = [n for n in noises if n["tested"]]
     if not causes and tested:
-        text = [f"The residuals of {row} are as the declared noises say."]
+        text = [f"The residuals of {row} are as the declared noises say{_but(tested)}."]
     elif not tested:
         text = [f"The residuals of {row} hold too little to test any declared noise."]
     untold = [n["noise"] for n in noises if not n["tested"] and n["noise"] != PRIOR]

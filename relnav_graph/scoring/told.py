@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from relnav_graph.scoring.columns import aligned_columns
+from relnav_graph.scoring.noise_verdict import noise_said
 
-__all__ = ["estimate_lines", "noise_said", "told_lines", "value_text"]
+__all__ = ["estimate_lines", "told_lines", "value_text"]
 
 
 def value_text(value: float, sigma: float) -> str:
@@ -78,15 +79,6 @@ def _sensor_cells(name: str, kind: str, sensor: str, one: Mapping[str, Any]) -> 
         "-" if lag is None else f"{lag:+.3f}",
         "-" if not edge else f"±{edge[1]:.3f}",
     ]
-
-
-def noise_said(noise: Mapping[str, Any]) -> str:
-    """What is said of a declared noise that was tested. Few rows cannot name it as a cause; where
-    its interval is beside one all the same, they are no proof that it is none."""
-    low, high = noise["factor_ci"]
-    if noise["named"]:
-        return "likely cause"
-    return "as declared" if low <= 1 <= high else "in doubt"
 
 
 def _noise_row(noise: Mapping[str, Any]) -> Sequence[str]:

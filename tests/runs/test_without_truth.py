@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from passes import ZHANG, relnav
+from relnav_factors.sensors.beacon_los import BeaconLineOfSight
 
 from relnav_graph.core.track import Track
+from relnav_graph.estimators import try_estimator
 from relnav_graph.io.results import read_results
 from relnav_graph.io.track_tables import write_csv
 from relnav_graph.report.contents import PassContents, read_contents
@@ -21,7 +23,8 @@ from relnav_graph.runs.outputs import write_outputs
 from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.agreement import distances, row_cautions
 from relnav_graph.scoring.metrics import table, with_smoothed
-from relnav_graph.scoring.told import noise_said
+from relnav_graph.scoring.noise_verdict import noise_said
+from relnav_graph.scoring.residuals import judge_without_truth
 
 
 @pytest.fixture(scope="module")
@@ -122,3 +125,22 @@ def test_a_row_that_is_none_is_refused_before_any_work(
 def test_few_rows_are_no_proof_of_a_noise(interval: list[float], named: bool, said: str) -> None:
     """36 rows that fit exactly: the interval is beside one, and yet names no cause."""
     assert noise_said({"factor_ci": interval, "named": named}) == said
+
+
+def test_the_sentence_below_the_noises_does_not_contradict_them() -> None:
+    """A sigma a seventh too large is beside one, and too little to be named as a cause."""
+    known = open_pass(ZHANG, 1, None, ("time.epochs=150",))
+    assert known.problem
+    beacons = known.problem.sensors["beacons"]
+    assert isinstance(beacons, BeaconLineOfSight)
+    wider = replace(beacons, sigma=beacons.sigma / 0.86)
+    problem = replace(known.problem, sensors={**known.problem.sensors, "beacons": wider})
+    _, noise = judge_without_truth(problem, (try_estimator("batch", problem),))
+    (one,) = (n for n in noise["noises"] if n["noise"] == "sensors.beacons")
+    assert (one["named"], noise_said(one)) == (False, "in doubt")
+    low, high = one["factor_ci"]
+    assert noise["causes"] == []
+    assert noise["text"][0] == (
+        "The residuals of batch are as the declared noises say, but for sensors.beacons"
+        f" ({one['factor']:.2f} times, {low:.2f} to {high:.2f}), which is in doubt."
+    )
