@@ -214,8 +214,9 @@ def _formats() -> list[str]:
             out += _table(["option", "default"], rows)
             pointed |= texts
     for name, text in sorted(pointed.items()):
-        out += [*_section(f"``{name}``", "-"), *prose(text)]
-    return out
+        out += [f".. _pointed-{name}:", "", *_section(name, "-"), *prose(text)]
+    links = {f"``{name}``": f":ref:`{name} <pointed-{name}>`" for name in pointed}
+    return [re.sub("|".join(map(re.escape, links)), lambda m: links[m[0]], line) for line in out]
 
 
 def _scenario_file() -> list[str]:

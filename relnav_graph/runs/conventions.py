@@ -33,7 +33,7 @@ __all__ = ["pass_cautions"]
 #: smaller it must be where it would be mended.
 _WRONG, _BETTER = 5.0, 4.0
 #: So many epochs are looked at.
-_EPOCHS = 1000
+_EPOCHS = 300
 _POSE = ("x_m", "y_m", "z_m", *QUATERNION)
 #: Where q_w, q_x, q_y, q_z stand in what was read, by how that was written.
 _ORDERS = {
