@@ -18,9 +18,9 @@ def run_estimator(kind: str, problem: Problem, extra: Any = None) -> Track:
 
     extra: native factors and variables of a graph (`relnav_graph.estimators.isam2.Extra`), for an
     estimator that has a graph to put them in. The cautions of the problem are among those of the
-    track; where it does not fit, and would in another convention or unit, so is that. Raises ModelError on an unknown kind, InputError on a problem without epochs, and on
-    `extra` where it does not fit or the estimator cannot take it, EstimationError when no estimate
-    is possible.
+    track; where it does not fit, and would in another convention or unit, so is that. Raises
+    ModelError on an unknown kind, InputError on a problem without epochs, and on `extra` where it
+    does not fit or the estimator cannot take it, EstimationError when no estimate is possible.
     """
     track = estimators.run_estimator(kind, problem, extra)
     doubts = pass_cautions(problem, [track])
