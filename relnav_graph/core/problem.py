@@ -29,6 +29,7 @@ from relnav_graph.core.epochs import Epoch, check_epoch
 from relnav_graph.core.lent import Lent
 from relnav_graph.core.measurement import SAME_TIME, Bridge, Stamps
 from relnav_graph.core.numbered import families, first_seen
+from relnav_graph.core.scatter import scatter_cautions
 from relnav_graph.core.shown import Shown, listed, span
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.turning import turning_cautions
@@ -257,12 +258,14 @@ class Problem(Shown):
         statics = [block.name for block in self.layout.statics if block not in points]
         untold = untold_cautions(statics, self.processes.values(), measured)
         gaps = gap_cautions(self.bridged)
-        return start + interval_cautions(self.times) + gaps + untold + self._turning
+        return start + interval_cautions(self.times) + gaps + untold + self._inputs
 
     @cached_property
-    def _turning(self) -> tuple[Caution, ...]:
+    def _inputs(self) -> tuple[Caution, ...]:
+        """What they say that others, or they themselves, contradict."""
         known = self.layout.values(self.prior.x)
-        return turning_cautions(self.processes, self.sensors, self.epochs, known)
+        turning = turning_cautions(self.processes, self.sensors, self.epochs, known)
+        return scatter_cautions(self.processes, self.epochs) + turning
 
     def cautions_from(self, t: float) -> tuple[Caution, ...]:
         """What is doubtful about a pass that begins at time t, s, whatever comes of it."""

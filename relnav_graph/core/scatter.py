@@ -1,0 +1,89 @@
+"""Whether the samples of an input scatter by more than the noise that is declared of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from relnav_graph.arrays import Array
+from relnav_graph.core.cautions import Caution
+from relnav_graph.core.contracts import Dynamics
+from relnav_graph.core.epochs import Epoch
+from relnav_graph.units import column_unit, quantities
+
+__all__ = ["scatter_cautions"]
+
+#: Of the columns of an input, by their unit, that of the density of its white noise.
+_DENSITIES = {"rad/s": "rad/sqrt(s)", "m/s^2": "m/s^1.5"}
+#: How a parameter with such a density is called.
+_WHITE = "random_walk_density"
+#: So many times more than declared a scatter must be before it is doubted: true motions add to it.
+#: Less tells nothing: samples are filtered, and who knows a model to be wrong declares more.
+MORE = 5.0
+#: Fewer second differences tell too little, and more epochs are not looked at.
+LEAST, LOOKED = 30, 2000
+
+
+def scatter_cautions(
+    processes: Mapping[str, Dynamics], epochs: Sequence[Epoch]
+) -> tuple[Caution, ...]:
+    """Of inputs whose samples scatter by far more than the declared density of their white
+    noise: that is larger, or the input is of another unit.
+
+    processes: by name. The scatter is that of second differences of three samples of one length,
+    of which a smooth motion is no part: sigma^2 = 6 density^2 / length; its size is the median, so
+    that jumps do not count.
+    """
+    found = []
+    for process, model in processes.items():
+        u = [e.inputs[process] for e in epochs[1:LOOKED] if process in e.inputs]
+        first = 1  # behind the lengths of the intervals
+        for name, columns in model.inputs.items():
+            last = first + len(columns)
+            if path := _density(model, columns):
+                declared = float(np.sqrt(np.mean(np.square(getattr(model, path)))))
+                seen = _seen([one[:, [0, *range(first, last)]] for one in u])
+                found += _caution(name, f"processes.{process}.{path}", columns[0], declared, seen)
+            first = last
+    return tuple(found)
+
+
+def _density(model: Dynamics, columns: Sequence[str]) -> str:
+    """The parameter with the density of an input's white noise, "" where there is none."""
+    unit = _DENSITIES.get(str(column_unit(columns[0])))
+    try:
+        known = quantities(type(model))
+    except Exception:  # of a stranger's class, whose annotations need not be types
+        return ""
+    return next((n for n, q in known.items() if q.unit == unit and n.endswith(_WHITE)), "")
+
+
+def _seen(rows: Sequence[Array]) -> float | None:
+    """The density, SI, that rows (k, 1 + channels) of lengths, s, and means show; None: they tell
+    none."""
+    u = np.concatenate(rows) if rows else np.empty((0, 1))
+    length = u[:, 0]
+    alike = np.isclose(length[1:-1], length[:-2], 1e-3) & np.isclose(length[1:-1], length[2:], 1e-3)
+    bends = (u[2:, 1:] - 2 * u[1:-1, 1:] + u[:-2, 1:]) * np.sqrt(length[1:-1, None] / 6)
+    if alike.sum() < LEAST:
+        return None
+    # 0.6745: the median of the size of a normal variable of sigma 1.
+    each = np.median(np.abs(bends[alike]), axis=0) / 0.6745
+    return float(np.sqrt(np.mean(each**2))) or None
+
+
+def _caution(
+    name: str, path: str, column: str, declared: float, seen: float | None
+) -> list[Caution]:
+    if seen is None or seen < declared * MORE:
+        return []
+    unit = _DENSITIES[str(column_unit(column))]
+    return [
+        Caution(
+            "input noise",
+            f"samples of {name!r} scatter from one to the next as white noise of {seen:.3g} {unit},"
+            f" {seen / declared:.3g} times what {path} says: is its noise so small, and in what"
+            " unit is it?",
+        )
+    ]
