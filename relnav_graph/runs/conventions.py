@@ -7,212 +7,108 @@ known motion, it does not fit, and the right one does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
-from relnav_graph.arrays import Array
 from relnav_graph.core.cautions import Caution
-from relnav_graph.core.contracts import Dynamics
-from relnav_graph.core.epochs import Epoch
-from relnav_graph.core.measurement import QUATERNION, Measurement
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Innovations, Track
 from relnav_graph.core.turning import TURNING
 from relnav_graph.errors import RelnavError
 from relnav_graph.estimators import try_estimator
-from relnav_graph.io.poses import Motion, from_quaternions, quaternions
-from relnav_graph.scenario.first_estimate import with_measured
-from relnav_graph.units import column_unit
+from relnav_graph.runs.readings import Reading, of_axes, readings
 
 __all__ = ["pass_cautions"]
 
-#: Mean square of innovations, in sigmas, from which on something is wrong; and how many times
-#: smaller it must be where it would be mended.
-_WRONG, _BETTER = 5.0, 4.0
-#: So many epochs are looked at.
-_EPOCHS = 300
-_POSE = ("x_m", "y_m", "z_m", *QUATERNION)
-#: Where q_w, q_x, q_y, q_z stand in what was read, by how that was written.
-_ORDERS = {
-    "": [0, 1, 2, 3],
-    "written with the scalar last": [3, 0, 1, 2],
-    "written with the scalar first": [1, 2, 3, 0],
-}
-#: By SI unit of a column what it may be in, and how many SI units one of that is. What is in km and
-#: was taken for m, fits too well: the verdict on the noise says it.
-_UNITS: Mapping[str, Mapping[str, float]] = {
-    "m": {"mm": 1e-3},
-    "rad": {"deg": np.pi / 180},
-    "rad/s": {"deg/s": np.pi / 180, "rad/s, and was taken for deg/s": 180 / np.pi},
-    "m/s^2": {"g": 9.80665},
-}
+#: Mean square of innovations, in sigmas, from which on something is wrong.
+_WRONG = 5.0
+#: Or it is further from one than that many of its sigmas, a 95 % band, and would not be, with a sum
+#: of squares that is by so much smaller: a ratio of likelihoods of 5e8.
+_BAND, _TELLING = 1.96, 40.0
+#: So many epochs are looked at, of a state of 30; of larger ones fewer, but for the second number.
+_EPOCHS, _FEWEST = 1000, 200
 
 
-@dataclass(frozen=True, eq=False)
-class _Reading:
-    """Another way to read a sensor or an input: its name, what it would be in words, and what that
-    makes of a measurement, or of samples (k, channels); better: how many times smaller the misfit
-    must then be."""
+@dataclass(frozen=True)
+class _Fit:
+    """How well a filter fits: `worst`, of the sensor that fits worst the mean square of innovations
+    at an epoch, in their own sigmas, the median over the second half: 1 or less where all is as
+    declared; nis, rows: sum of squares of the last three quarters, and of how many."""
 
-    name: str
-    what: str
-    measured: Callable[[Measurement], Measurement] | None = None
-    sampled: Callable[[Array], Array] | None = None
-    better: float = _BETTER
+    worst: float
+    nis: float
+    rows: int
 
-    def of(self, problem: Problem) -> Problem:
-        """The problem, read so, and what was measured of the prior measured again. Raises
-        EstimationError when that is impossible."""
-        epochs = tuple(self._epoch(problem.processes, e) for e in problem.epochs)
-        return with_measured(replace(problem, epochs=epochs), problem.measured)
+    @staticmethod
+    def of(innovations: Mapping[str, Innovations]) -> _Fit:
+        worst, nis, rows = 0.0, 0.0, 0
+        for one in innovations.values():
+            n = len(one.t)
+            own = (one.nis / one.rows)[n // 2 :]
+            worst = max(worst, float(np.median(own)) if n > 3 else 0.0)
+            nis += float(one.nis[n // 4 :].sum())
+            rows += int(one.rows[n // 4 :].sum())
+        return _Fit(worst if np.isfinite(worst) else np.inf, nis, rows)
 
-    def _epoch(self, processes: Mapping[str, Dynamics], epoch: Epoch) -> Epoch:
-        if (measured := self.measured) is not None:
-            own = (measured(m) if m.sensor == self.name else m for m in epoch.measurements)
-            return replace(epoch, measurements=tuple(own))
-        inputs = dict(epoch.inputs)
-        for process, u in epoch.inputs.items():
-            first = 1  # behind the lengths of the intervals
-            for name, columns in processes[process].inputs.items():
-                last = first + len(columns)
-                if name == self.name and self.sampled is not None:
-                    inputs[process] = u = u.copy()
-                    u[:, first:last] = self.sampled(u[:, first:last])
-                first = last
-        return replace(epoch, inputs=inputs)
+    @property
+    def mean_square(self) -> float:
+        return self.nis / self.rows if self.rows else 1.0
 
+    @property
+    def sigmas(self) -> float:
+        """By how many of its own sigmas the mean square differs from one."""
+        return (self.mean_square - 1) * float(np.sqrt(self.rows / 2))
 
-def _readings(problem: Problem) -> Iterator[_Reading]:
-    """What first comes to mind."""
-    for name, sensor in problem.sensors.items():
-        columns = tuple(sensor.columns)
-        if columns[-4:] == QUATERNION:
-            yield from _attitudes(name)
-        if columns == _POSE:
-            yield from _poses(problem, name)
-        for what, factors in _units(columns):
-            # All residuals are smaller in another unit: by its square, if that is what is wrong.
-            better = max(_BETTER, 0.01 / factors.min() ** 2)
-            yield _Reading(name, f"{name!r} is in {what}", _multiplied(factors), better=better)
-    for name, columns in _inputs(problem).items():
-        for what, factors in _units(columns):
-            yield _Reading(name, f"{name!r} is in {what}", None, factors.__mul__)
-        yield _Reading(name, f"{name!r} has the other sign", None, np.negative)
+    @property
+    def doubtful(self) -> bool:
+        return self.worst > _WRONG or self.sigmas > _BAND
+
+    def mended_by(self, other: _Fit, better: float) -> bool:
+        """Whether another fit is so much better that there must be a reason."""
+        if self.worst > _WRONG:
+            return other.worst < min(self.worst / better, _WRONG)
+        less = (self.nis - self.rows) - (other.nis - other.rows)
+        return less > _TELLING and abs(other.sigmas) < _BAND < self.sigmas
 
 
-def _axes(problem: Problem) -> Iterator[_Reading]:
-    """Inputs of three axes, of which some are swapped or reversed."""
-    for name, columns in _inputs(problem).items():
-        for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
-            if len(columns) != 3 or (order == (0, 1, 2) and len({*signs}) == 1):
-                continue  # the last are what was read, and what was tried before
-            axes = [f"{'-' * (s < 0)}{'xyz'[k]}" for k, s in zip(order, signs, strict=True)]
-
-            def read(u: Array, o: Sequence[int] = order, s: Sequence[int] = signs) -> Array:
-                return u[:, o] * s
-
-            yield _Reading(name, f"x, y, z are {', '.join(axes)} of {name!r}", None, read)
+_LOST = _Fit(np.inf, np.inf, 1)
 
 
-def _inputs(problem: Problem) -> dict[str, tuple[str, ...]]:
-    """Columns of the inputs, by name."""
-    processes = problem.processes.values()
-    return {name: tuple(columns) for p in processes for name, columns in p.inputs.items()}
-
-
-def _units(columns: Sequence[str]) -> Iterator[tuple[str, Array]]:
-    """Units that columns may be in, and factors to SI of all columns."""
-    own = [None if c in QUATERNION else column_unit(c) for c in columns]
-    for unit, others in _UNITS.items():
-        for other, factor in others.items() if unit in own else ():
-            yield other, np.array([factor if u == unit else 1.0 for u in own])
-
-
-def _multiplied(factors: Array) -> Callable[[Measurement], Measurement]:
-    return lambda m: replace(m, z=m.z * factors)
-
-
-def _ordered(z: Array, order: Sequence[int], sign: float = 1.0) -> Array:
-    """Rows with their last four columns in another order, and x, y, z of another sign."""
-    return np.hstack([z[:, :-4], z[:, -4:][:, order] * [1, sign, sign, sign]])
-
-
-def _attitudes(name: str) -> Iterator[_Reading]:
-    """Quaternions in another order, or of the inverse rotation."""
-    for how, order in _ORDERS.items():
-        for sign, direction in ((1.0, ""), (-1.0, "those of the inverse rotation")):
-            if how or direction:
-                said = " and ".join(part for part in (how, direction) if part)
-
-                def read(m: Measurement, o: Sequence[int] = order, s: float = sign) -> Measurement:
-                    return replace(m, z=_ordered(m.z, o, s))
-
-                yield _Reading(name, f"the quaternions of {name!r} are {said}", read)
-
-
-def _poses(problem: Problem, name: str) -> Iterator[_Reading]:
-    """The pose of b in a for that of a in b, with the noise that it then has."""
-
-    def where(k: int) -> str:
-        return f"row {k}"
-
-    for how, order in _ORDERS.items():
-
-        def read(m: Measurement, order: Sequence[int] = order) -> Measurement:
-            P = m.covariance if m.covariance is not None else problem.sensors[name].noise(m)
-            z = _ordered(m.z, order)
-            pose = {"position": z[:, :3], "attitude": from_quaternions(where, z[:, 3:])}
-            back = Motion(np.full(len(z), m.t), pose, where, {"pose": P}).inverse()
-            r, q = back.values["position"], quaternions(back.values["attitude"])
-            return replace(m, z=np.hstack([r, q]), covariance=back.covariance("pose"))
-
-        said = f", its quaternion {how}" if how else ""
-        yield _Reading(name, f"{name!r} has the inverse pose{said}", read)
-
-
-def _worst(innovations: Mapping[str, Innovations]) -> float:
-    """Of the sensor that fits worst the mean square of innovations at an epoch, in their own
-    sigmas, the median over the second half: 1 or less where all is as declared."""
-    worst = 0.0
-    for one in innovations.values():
-        own = (one.nis / one.rows)[len(one.t) // 2 :]
-        worst = max(worst, float(np.median(own)) if len(one.t) > 3 else 0.0)
-    return worst if np.isfinite(worst) else np.inf
-
-
-def _misfit(problem: Problem, reading: _Reading | None = None) -> float:
-    """That of a filter over the pass, read in a way; infinite where it is lost."""
+def _fit(problem: Problem, reading: Reading | None = None) -> _Fit:
+    """That of a filter over the pass, read in a way."""
     try:
         track = try_estimator("iekf", reading.of(problem) if reading else problem)
     except RelnavError:
-        return np.inf
-    return np.inf if track.status == "diverged" else _worst(track.innovations)
+        return _LOST
+    return _LOST if track.status == "diverged" else _Fit.of(track.innovations)
 
 
 def pass_cautions(problem: Problem, tracks: Sequence[Track]) -> tuple[Caution, ...]:
-    """What is doubtful about the pass of some tracks. Where one of them is not ok, or fits far
-    worse than it should, and no caution of the problem says why, also whether the pass fits far
-    better in another convention or unit: it is filtered once for each."""
+    """What is doubtful about the pass of some tracks. Where one of them is not ok, or fits worse
+    than it should, and no caution of the problem says why, also whether the pass fits far better in
+    another convention or unit: it is filtered once for each."""
     told = any(caution.name == TURNING for caution in problem.cautions)
     each = [t for track in tracks for t in (track, track.smoothed) if t is not None]
-    wrong = any(t.status != "ok" or _worst(t.innovations) > _WRONG for t in each)
+    wrong = any(t.status != "ok" or _Fit.of(t.innovations).doubtful for t in each)
     return problem.cautions + (_other_readings(problem) if wrong and not told else ())
 
 
 def _other_readings(problem: Problem) -> tuple[Caution, ...]:
-    problem = replace(problem, epochs=problem.epochs[:_EPOCHS])
-    as_read = _misfit(problem)
-    if as_read < _WRONG:
+    count = max(_FEWEST, int(_EPOCHS * min(1.0, (30 / problem.layout.dim) ** 2)))
+    problem = replace(problem, epochs=problem.epochs[:count])
+    as_read = _fit(problem)
+    if not as_read.doubtful:
         return ()
-    for readings in (_readings, _axes):
-        fits = {one: _misfit(problem, one) for one in readings(problem)}
-        mended = [one for one, fit in fits.items() if fit < min(as_read / one.better, _WRONG)]
+    for others in (readings, of_axes):
+        fits = [(one, _fit(problem, one)) for one in others(problem)]
+        mended = [(one, fit) for one, fit in fits if as_read.mended_by(fit, one.better)]
         if mended:
-            best = min(mended, key=lambda one: fits[one])
-            much = "far" if np.isinf(as_read) else f"{np.sqrt(as_read / fits[best]):.2g} times"
-            text = f"the pass fits {much} better if {best.what}: is it so?"
+            best, fit = min(mended, key=lambda pair: pair[1].nis)
+            text = (
+                f"a filter fits with a mean square of innovations of {as_read.mean_square:.3g}, in"
+                f" their own sigmas, and of {fit.mean_square:.3g} if {best.what}: is it so?"
+            )
             return (Caution("other convention", text),)
     return ()

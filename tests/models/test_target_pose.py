@@ -11,16 +11,18 @@ from relnav_factors.sensors.pose_measurement import PoseMeasurement
 from relnav_factors.sensors.target_pose import TargetPose
 from scipy.spatial.transform import Rotation
 
+from relnav_graph.arrays import Array
 from relnav_graph.core.conformance.draws import draw_blocks
 from relnav_graph.core.measurement import Measurement
 from relnav_graph.errors import InputError
+from relnav_graph.io.poses import Motion
 
 ONE = np.zeros(1, dtype=np.int64)
 SIGMAS: dict[str, Any] = {"position_sigma": np.full(3, 0.01), "attitude_sigma": np.full(3, 0.02)}
 Pose = Literal["orbital", "target"]
 
 
-def drawn(pose: Pose, seed: int) -> tuple[TargetPose, list[Any], np.ndarray[Any, Any]]:
+def drawn(pose: Pose, seed: int) -> tuple[TargetPose, list[Any], Array]:
     one = TargetPose(pose=pose, **SIGMAS, **MOUNTED)
     x = draw_blocks(one.reads)(np.random.default_rng(seed), "moderate")
     return one, list(x), one.predict(ONE, *x)
@@ -49,20 +51,42 @@ def test_one_measurement_tells_the_whole_pose(pose: Pose) -> None:
     assert np.abs(r).max() < 1e-9
 
 
-def test_its_noise_is_that_of_the_camera_in_the_axes_of_the_camera() -> None:
-    """A turn of the camera about its first axis, and a place off along its third: as residuals,
-    and by hand as what a camera says that is turned so."""
+def test_its_noise_is_that_of_a_measured_pose() -> None:
+    """As a covariance of a file is: of the place in s, and of turns about the axes of t."""
     one, x, z = drawn("target", 3)
     e = np.array([[0.0, 0.0, 0.3, 0.2, 0.0, 0.0]])
     seen = one.perturb(z, e)
-    turned = Rotation.from_rotvec([0.2, 0, 0]).inv() * Rotation.from_quat(
-        z[0, 3:], scalar_first=True
-    )
+    turned = Rotation.from_quat(z[0, 3:], scalar_first=True) * Rotation.from_rotvec([0.2, 0, 0])
     got = Rotation.from_quat(seen[0, 3:], scalar_first=True)
     assert (got.inv() * turned).magnitude() < 1e-12
     np.testing.assert_allclose(seen[0, :3] - z[0, :3], [0, 0, 0.3], atol=1e-12)
     r, _ = one.residual(Measurement("s", 0.0, seen, ONE), *x)
     np.testing.assert_allclose(r.ravel(), -e[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_covariance_of_the_inverse_weighs_the_same(turned: bool) -> None:
+    """A pose with a full covariance tells a state the same, whichever way round it is read; with a
+    covariance that was not turned round it does not."""
+    x = [Rotation.from_rotvec([0.3, -0.4, 1.0]).as_matrix(), np.array([4.0, -7.0, 2.0])]
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(6, 6)) * np.array([0.01] * 3 + [0.02] * 3)[:, None]
+    P = root @ root.T + 1e-6 * np.eye(6)
+    camera, body = (
+        cls(pose="target", **SIGMAS, **MOUNTED) for cls in (TargetPose, PoseMeasurement)
+    )
+    z = camera.predict(ONE, *x)
+    R = Rotation.from_quat(z[:, 3:], scalar_first=True).as_matrix()
+    pose = {"position": z[:, :3], "attitude": R}
+    back = Motion(np.zeros(1), pose, lambda k: "", {"pose": P[None]}).inverse()
+    other = back.covariances["pose"][0] if turned else P
+    found = list[Array]()
+    for sensor, own in ((camera, P), (body, other)):
+        _, slopes = sensor.residual(Measurement("s", 0.0, sensor.predict(ONE, *x), ONE), *x)
+        H = np.hstack([slope.reshape(6, 3) for slope in slopes])
+        found.append(H.T @ np.linalg.solve(own, H))
+    a, b = found
+    assert np.allclose(a, b, rtol=1e-6, atol=1e-6 * np.abs(a).max()) == turned
 
 
 def test_a_turn_of_the_camera_moves_where_it_is_in_the_target() -> None:

@@ -9,45 +9,31 @@ from typing import ClassVar
 import numpy as np
 
 from relnav_factors.sensors.pose_measurement import PoseMeasurement, sensor_in_target
-from relnav_factors.shared.attitude import attitude_residual, turned
+from relnav_factors.shared.attitude import attitude_residual
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.compiled import jit
 from relnav_graph.maths import dense, so3
 
 
 @jit
-def conjugate(q_wxyz: Array) -> Array:
-    """The quaternion (4,), scalar first, of the inverse rotation."""
-    out = -q_wxyz
-    out[0] = q_wxyz[0]
-    return out
-
-
-@jit
-def inverse(R_ab: Array, r_ab_a: Array) -> Array:
-    """``r_ba_b = -R_ab^T r_ab_a`` (3,), m, of b in a: R_ab (3, 3), r_ab_a (3,), m."""
-    return -dense.transposed_matvec(R_ab, r_ab_a)
-
-
-@jit
 def kernel(p: Array, q: Array, z: Array, x: Array, r: Array, H: Array) -> int:
-    """``r_st_s = -R_ts^T r_ts_t``, predicted minus measured; then ``Log(R_measured R_ts)``.
+    """``r_st_s = -R_ts^T r_ts_t``, predicted minus measured; then ``Log(R_measured^T R_st)``.
 
-    p (13,): of the mounting. q (0,). z (7,): r_st_s (m), q_wxyz of R_st, whose matrix is
-    R_measured. x (21,): R_oc, R_ot row by row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,):
-    R_ns, d_sn_c (m) of an estimated mounting. r (6,): m in s, then rad in s. H (6, 9) or (6, 6),
-    and 6 columns more for the mounting.
+    p (13,): of the mounting. q (0,). z (7,): r_st_s (m), q_wxyz of R_st. x (21,): R_oc, R_ot row by
+    row, r_tc_o (m), or (12,): R_tc, r_tc_t (m); then (12,): R_ns, d_sn_c (m) of an estimated
+    mounting. r (6,): m in s, then rad in t. H (6, 9) or (6, 6), and 6 columns more for the
+    mounting.
     """
     R_ts, r_ts_t, to_turn, to_place = sensor_in_target(p, x)
-    r_st_s, angles = inverse(R_ts, r_ts_t), np.empty(3)
-    slope = attitude_residual(conjugate(z[3:]), R_ts, angles)
+    R_st, angles = dense.transposed_matmul(R_ts, dense.identity(3)), np.empty(3)
+    r_st_s = -dense.matvec(R_st, r_ts_t)
+    slope = attitude_residual(z[3:], R_st, angles)
     dense.put_vector(r, 0, dense.add_scaled_vector(r_st_s, z[:3], -1.0))
     dense.put_vector(r, 3, angles)
-    # When s turns by d, what it sees turns back, and when it moves, away.
+    # When s turns by d, what it sees turns back, and when it moves, away; R_st turns by -R_ts d.
     turns = dense.matmul(so3.skew(r_st_s), to_turn)
-    away = dense.transposed_matmul(R_ts, to_place)
-    dense.put_block(H, 0, 0, dense.add_scaled(turns, away, -1.0), 1.0)
-    dense.put_block(H, 3, 0, dense.matmul(slope, to_turn), 1.0)
+    dense.put_block(H, 0, 0, dense.add_scaled(turns, dense.matmul(R_st, to_place), -1.0), 1.0)
+    dense.put_block(H, 3, 0, dense.matmul(slope, dense.matmul(R_ts, to_turn)), -1.0)
     return 0
 
 
@@ -61,7 +47,7 @@ class TargetPose(PoseMeasurement):
     its own axes. Whoever inverts such poses first moves the error of their attitude into the
     place: 1 deg at 10 m is 17 cm.
 
-    position_sigma: m, per axis of s; attitude_sigma: rad, about each axis of s; one for all or one
+    position_sigma: m, per axis of s; attitude_sigma: rad, about each axis of t; one for all or one
     each. sensor_attitude: R_cs; sensor_position: r_sc_c, m. pose: how the pose stands in the state.
     Raises InputError when R_cs is not a rotation within 1e-6.
     """
@@ -72,11 +58,6 @@ class TargetPose(PoseMeasurement):
     def predict(self, ids: Indices, *x: Array) -> Array:
         """r_st_s (m) and q_wxyz of R_st, (k, 7), w >= 0."""
         return _inverses(super().predict(ids, *x))
-
-    def perturb(self, z: Array, e: Array) -> Array:
-        """Move the place by e[:, :3], m, and turn s by e[:, 3:], rad, about its own axes."""
-        back = turned(_conjugates(z[:, 3:]), e[:, 3:])
-        return np.hstack([z[:, :3] + e[:, :3], _conjugates(back)])
 
     def starts(
         self, ids: Indices, z: Array, known: Mapping[str, Array]
@@ -89,14 +70,11 @@ class TargetPose(PoseMeasurement):
         return super().starts(ids, _inverses(z), known)
 
 
-def _conjugates(q_wxyz: Array) -> Array:
-    """Quaternions (k, 4) of the inverse rotations."""
-    return dense.stacked((conjugate(q) for q in np.ascontiguousarray(q_wxyz)), 4)
-
-
 def _inverses(z: Array) -> Array:
     """Poses (k, 7) of the other one in this one."""
-    places = (
-        inverse(so3.from_quaternion(one[3:]), one[:3].copy()) for one in np.ascontiguousarray(z)
-    )
-    return np.hstack([dense.stacked(places, 3), _conjugates(z[:, 3:])])
+
+    def inverse(one: Array) -> Array:
+        R = so3.from_quaternion(one[3:])
+        return np.concatenate([-R.T @ one[:3], so3.quaternion(np.ascontiguousarray(R.T))])
+
+    return dense.stacked((inverse(one) for one in np.ascontiguousarray(z)), 7)
