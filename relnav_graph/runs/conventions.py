@@ -27,8 +27,10 @@ _WRONG = 5.0
 #: Or it is further from one than that many of its sigmas, a 95 % band, and would not be, with a sum
 #: of squares that is by so much smaller: a ratio of likelihoods of 5e8.
 _BAND, _TELLING = 1.96, 40.0
+#: Of two whose sums of squares are less apart than that none is better.
+_ALIKE = 10.0
 #: So many epochs are looked at, of a state of 30; of larger ones fewer, but for the second number.
-_EPOCHS, _FEWEST = 1000, 200
+_EPOCHS, _FEWEST = 600, 200
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,15 @@ def _other_readings(problem: Problem) -> tuple[Caution, ...]:
     as_read = _fit(problem)
     if not as_read.doubtful:
         return ()
-    for others in (readings, of_axes):
-        fits = [(one, _fit(problem, one)) for one in others(problem)]
+    first, second = [*readings(problem)], [*of_axes(problem)]
+    slight = [one for one in (*first, *second) if one.slight]
+    for tried in (first, second) if as_read.worst > _WRONG else (slight,):
+        fits = [(one, _fit(problem, one)) for one in tried]
         mended = [(one, fit) for one, fit in fits if as_read.mended_by(fit, one.better)]
         if mended:
-            best, fit = min(mended, key=lambda pair: pair[1].nis)
+            least = min(fit.nis for _, fit in mended)
+            # The simplest, which come first, of those that fit as well.
+            best, fit = next(pair for pair in mended if pair[1].nis < least + _ALIKE)
             text = (
                 f"a filter fits with a mean square of innovations of {as_read.mean_square:.3g}, in"
                 f" their own sigmas, and of {fit.mean_square:.3g} if {best.what}: is it so?"

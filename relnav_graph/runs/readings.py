@@ -43,13 +43,14 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 class Reading:
     """Another way to read a sensor or an input: its name, what it would be in words, and what that
     makes of a measurement, or of samples (k, channels); better: how many times smaller the misfit
-    must then be."""
+    must then be; slight: a pass may fit nearly as well without it."""
 
     name: str
     what: str
     measured: Callable[[Measurement], Measurement] | None = None
     sampled: Callable[[Array], Array] | None = None
     better: float = BETTER
+    slight: bool = False
 
     def of(self, problem: Problem) -> Problem:
         """The problem, read so, and what was measured of the prior measured again. Raises
@@ -87,22 +88,27 @@ def readings(problem: Problem) -> Iterator[Reading]:
             yield Reading(name, f"{name!r} is in {what}", _multiplied(factors), better=better)
     for name, columns in _inputs(problem).items():
         for what, factors in _units(columns):
-            yield Reading(name, f"{name!r} is in {what}", None, factors.__mul__)
-        yield Reading(name, f"{name!r} has the other sign", None, np.negative)
+            yield Reading(name, f"{name!r} is in {what}", None, factors.__mul__, slight=True)
+        yield Reading(name, f"{name!r} has the other sign", None, np.negative, slight=True)
 
 
 def of_axes(problem: Problem) -> Iterator[Reading]:
-    """Inputs of three axes, of which some are swapped or reversed."""
+    """Inputs of three axes, of which some are swapped or reversed: the fewest first."""
+    every = [*product(permutations(range(3)), product((1, -1), repeat=3))]
+    changes = [sum(k != i for i, k in enumerate(order)) + s.count(-1) for order, s in every]
     for name, columns in _inputs(problem).items():
-        for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
-            if len(columns) != 3 or (order == (0, 1, 2) and len({*signs}) == 1):
-                continue  # the last are what was read, and what was tried before
+        for count, (order, signs) in (
+            sorted(zip(changes, every, strict=True)) if len(columns) == 3 else ()
+        ):
+            if order == (0, 1, 2) and len({*signs}) == 1:
+                continue  # what was read, and what was tried before
             axes = [f"{'-' * (s < 0)}{'xyz'[k]}" for k, s in zip(order, signs, strict=True)]
 
             def read(u: Array, o: Sequence[int] = order, s: Sequence[int] = signs) -> Array:
                 return u[:, o] * s
 
-            yield Reading(name, f"x, y, z are {', '.join(axes)} of {name!r}", None, read)
+            what = f"x, y, z are {', '.join(axes)} of {name!r}"
+            yield Reading(name, what, None, read, slight=count < 3)
 
 
 def _inputs(problem: Problem) -> dict[str, tuple[str, ...]]:
