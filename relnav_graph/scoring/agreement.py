@@ -29,6 +29,8 @@ REFERENCES = ("batch", "rts")
 FAR = 3.0
 #: Mean square of the distance from the reference, in a filter's own sigmas, that is a caution.
 OVERCONFIDENT = 3.0
+#: The part of the reference's sigma, of the same data, below which a sigma is a caution.
+NARROW = 0.5
 #: Epochs whose joint covariances are made at a time: with many static blocks they are large.
 _AT_ONCE = 500
 
@@ -127,6 +129,22 @@ def _overconfidence(track: Track, reference: Track) -> float:
     return float(np.concatenate(squares).mean() / sum(block.dim for block in blocks))
 
 
+def _narrowest(track: Track, reference: Track) -> tuple[float, str]:
+    """Of a filter at the last epoch, where it has seen as much as the reference: the smallest part
+    of the reference's sigma that its own is in any direction of a block, and of which block."""
+    found = []
+    for block in _shared(reference, track):
+        P, own = (t.at(slice(-1, None)).covariance(block.name)[0] for t in (reference, track))
+        try:
+            with threadpool_limits(1, "blas"):
+                white = np.linalg.inv(np.linalg.cholesky(P))
+                part = float(np.linalg.eigvalsh(white @ own @ white.T).min())
+        except np.linalg.LinAlgError:
+            continue
+        found.append((float(np.sqrt(max(part, 0.0))), block.name))
+    return min(found, default=(1.0, ""))
+
+
 def row_cautions(
     rows: Mapping[str, Track],
     references: Mapping[str, str],
@@ -156,6 +174,13 @@ def row_cautions(
                 text = (
                     f"squared distance from {reference}, in its own sigmas, {ratio:.3g} times what"
                     " its covariance allows, on average over the last three quarters of the pass"
+                )
+                own.append(Caution("overconfident", text))
+            part, block = _narrowest(track, rows[reference])
+            if ratio <= OVERCONFIDENT and track.kind == "filtered" and part < NARROW:
+                text = (
+                    f"at the last epoch, where {reference} has seen no more, a sigma of {block} is"
+                    f" {part:.2g} of that of {reference}"
                 )
                 own.append(Caution("overconfident", text))
         found[name] = (*own, *axes_cautions(track), *wandering_cautions(track))

@@ -104,6 +104,27 @@ def test_a_filter_far_from_its_own_smoother_says_so(found: Comparison, off: floa
     assert distance == pytest.approx(6, abs=1.5) if off else distance < 2
 
 
+@pytest.mark.parametrize("narrow", [False, True])
+def test_a_filter_that_knows_more_than_its_smoother_says_so(
+    found: Comparison, narrow: bool
+) -> None:
+    """In one direction of one block, a third of the sigma that all the data leave."""
+    smoothed, own = found.track("batch"), found.track("iekf")
+    P, one = own.P.copy(), own.layout.tangent("relative_velocity")
+    axes = np.eye(P.shape[1])
+    if narrow:
+        _, vectors = np.linalg.eigh(P[-1, one, one])
+        axes[one, one] = vectors @ np.diag([1 / 3, 1, 1]) @ vectors.T
+    P[-1] = axes @ P[-1] @ axes.T
+    rows = {"iekf": replace(own, P=P), "batch": smoothed}
+    references, apart = distances(rows)
+    said = [c for c in row_cautions(rows, references, apart)["iekf"] if c.name == "overconfident"]
+    assert len(said) == narrow
+    if narrow:
+        assert "at the last epoch, where batch has seen no more, a sigma of" in said[0].text
+        assert "relative_velocity is 0.3" in said[0].text
+
+
 def test_a_row_that_is_none_is_refused_before_any_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
