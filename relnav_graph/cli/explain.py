@@ -25,7 +25,7 @@ def _nominal(opened: Pass) -> Array:
     track = try_estimator("batch", opened.problem)
     if track.status == "diverged":
         raise InputError(f"{opened.scenario.name}: no trajectory to linearise at: {track.message}")
-    return track.x
+    return track.states
 
 
 @click.command("explain")

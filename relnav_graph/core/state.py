@@ -304,6 +304,15 @@ class Layout:
                 f"trajectories: found {a.shape} and {b.shape}, expected {of_a} and {of_b}"
             )
 
+    def check_states(self, x: Array, count: int) -> None:
+        """Raise InputError unless x is (count, size), static blocks in every row: compiled loops
+        would read beyond rows that are shorter."""
+        if x.shape != (count, self.size):
+            raise InputError(
+                f"states: found an array {x.shape}, expected {(count, self.size)} of {self!r};"
+                " a track has them, static blocks too, as `states`"
+            )
+
     def right_jacobian(self, d: Array) -> Array:
         """J (dim, dim) with ``x (+) (d + e) = (x (+) d) (+) J e`` to first order, of d (dim,)."""
         return block_jacobian(d, self.kinds, False)

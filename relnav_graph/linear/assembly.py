@@ -51,11 +51,11 @@ __all__ = ["Assembly"]
 class Assembly:
     """Epochs, with the intervals that lead to them, as arrays.
 
-    t_before: start of an interval that leads to the first epoch, None when it has none.
-    sensors: by name; observations: their number; epoch_offsets and row_offsets (N + 1,): where
-    each epoch's observations and rows begin; sensor_of (observations,): the place of each one's
-    sensor among `sensor_names`. checked: whether the epochs are known to be in order.
-    Raises InputError or ModelError on an epoch or a model that is not in order.
+    t_before: start of an interval that leads to the first epoch, None when it has none. sensors: by
+    name; observations: their number; epoch_offsets and row_offsets (N + 1,): where each epoch's
+    observations and rows begin; sensor_of (observations,): the place of each one's sensor among
+    `sensor_names`. checked: whether the epochs are known to be in order. Raises InputError or
+    ModelError on an epoch or a model that is not in order.
     """
 
     def __init__(
@@ -312,9 +312,10 @@ class Assembly:
         """Rows of all observations at the states x (N, size), H to the tangents of all blocks.
 
         weight: (observations,), the square root of a robust weight; 0 leaves one out. An
-        observation that is impossible at its state has status > 0 and rows of zeros.
-        Raises ModelError when a kernel breaks its contract, GeometryError where one is degenerate.
+        observation that is impossible at its state has status > 0 and rows of zeros. Raises
+        InputError on x of another shape, and as `check` does.
         """
+        self.layout.check_states(x, len(self.times))
         count = int(self.row_offsets[-1])
         r, H = np.empty(count), np.empty((count, self.layout.dim))
         status = np.empty(self.observations, dtype=np.int64)
@@ -355,10 +356,10 @@ class Assembly:
 
         n: tangent dimension of the blocks that move, dim: of all blocks; for what these are see
         `relnav_graph.linear.rows.propagate`.
-        Raises ModelError when a kernel breaks its contract, GeometryError when it says
-        that an interval cannot be propagated.
+        Raises InputError on x of another shape, and as `check_propagated` does.
         """
         m, n = len(self.tables.starts), self.layout.moving.dim
+        self.layout.check_states(x, m)
         x_next, F, Q = np.array(x), np.empty((m, n, self.layout.dim)), np.empty((m, n, n))
         failure = np.zeros(3, dtype=np.int64)
         rows.transition(self.tables, x, x_next, F, Q, failure)

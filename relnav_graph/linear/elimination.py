@@ -72,11 +72,12 @@ def linearize(
     square roots of robust weights; damping (N, n + m): diagonals D_k of further rows D_k y_k = 0,
     those of the static blocks in the first row; keep: whether to fill `System.known`; into:
     conditionals of a pass of this length that are no longer needed, overwritten, since fresh
-    memory costs a long pass a third of its time. Raises ModelError or GeometryError when a model
-    cannot be evaluated, EstimationError when the system is not finite or does not determine every
-    epoch and static block.
+    memory costs a long pass a third of its time. Raises InputError on x of another shape,
+    ModelError or GeometryError when a model cannot be evaluated, EstimationError when the system is
+    not finite or does not determine every epoch and static block.
     """
     count, layout = len(x), assembly.layout
+    layout.check_states(x, len(assembly.times))
     n, m = layout.moving.dim, layout.statics.dim
     status, cost = np.zeros(assembly.observations, dtype=np.int64), np.zeros(1)
     known, failure = np.zeros((count * keep, n, n + m + 1)), np.zeros(3, dtype=np.int64)

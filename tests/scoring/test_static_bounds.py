@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from passes import EXPERIMENTS
 from static_tracks import drifting_pass
 
 from relnav_graph.arrays import Array
+from relnav_graph.cli.main import main
 from relnav_graph.core.problem import Problem
 from relnav_graph.core.track import Track
+from relnav_graph.errors import InputError
 from relnav_graph.estimators import run_estimator
 from relnav_graph.linear.assembly import Assembly
+from relnav_graph.linear.conditionals import anchor_of
+from relnav_graph.linear.elimination import linearize
+from relnav_graph.runs.passes import open_pass
 from relnav_graph.scoring.bounds import bounds, true_trajectory
+from relnav_graph.scoring.metrics import score
 from relnav_graph.scoring.observability import explain
 from relnav_graph.scoring.text import explain_table
 from relnav_graph.scoring.variance_components import noise_residuals
@@ -106,3 +116,46 @@ def test_explain_names_a_static_block() -> None:
     assert weak[0]["direction"] == "range drift, in s"
     assert weak[0]["verdict"] == "not observable"
     assert weak[0]["kept"] == pytest.approx(1)
+
+
+def test_a_trajectory_without_its_static_blocks_is_refused() -> None:
+    """Its rows are shorter than those that compiled loops read."""
+    problem, _ = drifting_pass()
+    track = run_estimator("batch", problem)
+    assembly = Assembly.of(problem)
+    weights = np.ones(assembly.observations)
+    for refused in (
+        lambda: explain("toy", problem, track.x, [], None),
+        lambda: bounds(problem, track.x),
+        lambda: assembly.measure(track.x, weights),
+        lambda: assembly.measure(track.states[1:], weights),
+        lambda: assembly.transition(track.x[:-1]),
+        lambda: noise_residuals(problem, track.x),
+        lambda: linearize(
+            *(assembly, anchor_of(problem.prior), track.x),
+            *(assembly.whitening(track.states[:-1]), weights),
+        ),
+    ):
+        with pytest.raises(InputError, match=r"states: found an array .* expected \(\d+, 7\)"):
+            refused()
+
+
+def test_explain_without_truth_says_what_the_estimate_says(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linearised at the batch estimate, constants included, the bounds are its covariances."""
+    path = EXPERIMENTS / "zhang2015_static.toml"
+    opened = open_pass(path, 1, None, ("time.epochs=60",))
+    assert {"gyro_bias", "inertia_parameters"} <= {b.name for b in opened.scenario.layout.statics}
+    track = run_estimator("batch", opened.problem)  # with the prior that the truth has given
+    object.__setattr__(opened, "recording", replace(opened.recording, truth=None))
+    monkeypatch.setattr("relnav_graph.cli.explain.open_pass", lambda *_: opened)
+    capsys.readouterr()
+    with pytest.raises(SystemExit, match="0"):
+        main(["explain", str(path), "--json"])
+    found = json.loads(capsys.readouterr().out)
+    own = score(track, None, opened.scenario.derived, opened.scenario.window(track.t))
+    for said, scores in ((found["states"], own.states), (found["statics"], own.statics)):
+        assert said
+        for name, state in said.items():
+            assert state["smoother"] == pytest.approx(scores[name].sigma, rel=0.03), name
