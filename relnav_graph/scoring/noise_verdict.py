@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics, Sensor
 from relnav_graph.core.problem import Problem
+from relnav_graph.core.track import Track
+from relnav_graph.scoring.estimated import sensor_rows
 from relnav_graph.scoring.variance_components import PRIOR, NoiseResiduals, estimate_factors
 
 __all__ = ["NOTABLE", "cause_text", "noise_factors", "noise_owners", "noise_said", "noise_verdict"]
@@ -36,10 +38,12 @@ def noise_owners(
 def noise_factors(names: Sequence[str], squares: Array, coupling: Array) -> list[dict[str, Any]]:
     """The factor of each declared sigma, with its 95 % interval, and whether it is a likely cause.
 
-    names: of the groups of noises; squares (groups,) and coupling: see `estimate_factors`.
+    names: of the groups of noises; squares (groups,) and coupling: see `estimate_factors`. A
+    variance that is estimated to be negative, or zero beside a cause that swells all residuals,
+    says nothing of its noise: that counts as not tested.
     """
     variance, sigma = estimate_factors(squares, coupling)
-    out = []
+    out = list[dict[str, Any]]()
     for name, v, s in zip(names, variance.tolist(), sigma.tolist(), strict=True):
         tested = math.isfinite(s) and name != PRIOR
         # s holds for a factor of 1; the sigma of an estimated variance grows in proportion.
@@ -55,6 +59,10 @@ def noise_factors(names: Sequence[str], squares: Array, coupling: Array) -> list
                 "named": tested and notable and abs(v - 1) > SIGNIFICANT * s,
             }
         )
+    swollen = any(n["named"] and n["factor"] > 1 for n in out)
+    for n in out:
+        if n["factor"] == 0 and (swollen or n["factor_ci"][1] == 0):
+            n |= {"tested": False, "factor": None, "factor_ci": None, "named": False}
     return out
 
 
@@ -70,14 +78,13 @@ def noise_said(noise: Mapping[str, Any]) -> str:
 def cause_text(noise: Mapping[str, Any], owners: Mapping[str, str]) -> str:
     """What is wrong with a noise that is a likely cause, of `noise_factors`, in words."""
     factor, (low, high) = noise["factor"], noise["factor_ci"]
-    size = "too small" if factor > 1 else "too large"
-    if factor < 1:
-        low, factor, high = (1 / max(v, 1e-9) for v in (high, factor, low))
-    upper = f"{high:.2f}" if high < 1e6 else "more"
-    return (
-        f"{noise['noise']} is declared {factor:.2f} times {size} ({low:.2f} to {upper}):"
-        f" {owners.get(noise['noise'], '')}"
-    )
+    if factor > 1:
+        size = f"{factor:.2f} times too small ({low:.2f} to {high:.2f})"
+    elif low > 0:
+        size = f"{1 / factor:.2f} times too large ({1 / high:.2f} to {1 / low:.2f})"
+    else:
+        size = f"at least {1 / high:.2f} times too large"
+    return f"{noise['noise']} is declared {size}: {owners.get(noise['noise'], '')}"
 
 
 def _but(tested: Sequence[Mapping[str, Any]]) -> str:
@@ -91,10 +98,47 @@ def _but(tested: Sequence[Mapping[str, Any]]) -> str:
     return f", but for {', '.join(doubted)}, which is in doubt" if doubted else ""
 
 
-def noise_verdict(problem: Problem, row: str, found: NoiseResiduals) -> dict[str, Any]:
+def _off(one: Mapping[str, Any], key: str, band: str, middle: float, form: str) -> str:
+    """How a number of innovations is beside its 95 % band, too far for chance; "" where it is not.
+
+    one: of a sensor, see `sensor_rows`; middle: what is expected; form: of numbers."""
+    value, edges = one.get(key), one.get(band)
+    if value is None or edges is None:
+        return ""
+    edge = edges[1] if value > middle else edges[0]
+    if abs(value - middle) < SIGNIFICANT / 1.96 * abs(edge - middle):
+        return ""
+    low, high = (format(e, form) for e in edges)
+    return f"{format(value, form)} (95 % band {low} to {high})"
+
+
+def _undeclared(tracks: Iterable[Track]) -> str:
+    """A sentence where the innovations of each filter are not as declared; "" where those of one
+    are: the others then have a linearisation, and no noise, to blame."""
+    said = dict[str, str]()
+    for track in tracks:
+        if track.kind != "filtered" or track.status == "diverged":
+            continue
+        parts = list[str]()
+        for sensor, one in sensor_rows(track).get("sensors", {}).items():
+            if square := _off(one, "nis", "nis_band", 1.0, ".3f"):
+                parts.append(f"{sensor}, mean square {square}")
+            if lag := _off(one, "lag_correlation", "lag_band", 0.0, "+.3f"):
+                parts.append(f"{sensor}, correlation with the epoch before {lag}")
+        if not parts:
+            return ""
+        said[track.name] = "; ".join(parts)
+    name = next(iter(said), "")
+    return f"The innovations of {name} are not as declared: {said[name]}." if name else ""
+
+
+def noise_verdict(
+    problem: Problem, row: str, found: NoiseResiduals, tracks: Iterable[Track] = ()
+) -> dict[str, Any]:
     """The verdict on the noises of one pass, by the residuals of a smoothed row, as of a study.
 
-    ``{"residuals_of", "noises", "causes", "text"}``; found: with coupling.
+    ``{"residuals_of", "noises", "causes", "text"}``; found: with coupling; tracks: all of the
+    pass, whose innovations may say what these residuals do not.
     """
     squares = np.array(list(found.squares.values()))
     coupling = np.zeros((len(squares), len(squares))) if found.coupling is None else found.coupling
@@ -103,13 +147,18 @@ def noise_verdict(problem: Problem, row: str, found: NoiseResiduals) -> dict[str
     owners = noise_owners(problem.sensors, problem.processes)
     text = [f"Likely cause: {cause_text(n, owners)}." for n in causes]
     tested = [n for n in noises if n["tested"]]
+    untold = [n["noise"] for n in noises if not n["tested"] and n["noise"] != PRIOR]
+    undeclared = _undeclared(tracks) if untold and not causes else ""
     if not causes and tested:
-        text = [f"The residuals of {row} are as the declared noises say{_but(tested)}."]
+        which = "declared noises that they test" if undeclared else "declared noises"
+        text = [f"The residuals of {row} are as the {which} say{_but(tested)}."]
     elif not tested:
         text = [f"The residuals of {row} hold too little to test any declared noise."]
-    untold = [n["noise"] for n in noises if not n["tested"] and n["noise"] != PRIOR]
     if untold and tested:
         text.append(f"Not testable by this pass: {', '.join(untold)}.")
+    if undeclared:
+        looks = "`relnav tune SCENARIO --data DIR` looks at what residuals do not test."
+        text += [undeclared, looks]
     return {
         "residuals_of": row,
         "noises": [n for n in noises if n["noise"] != PRIOR],

@@ -87,7 +87,7 @@ def judge_without_truth(
         linear = Smoothed.of(problem, x)
         residuals = standardised_residuals(problem, linear)
         rng = np.random.default_rng(np.random.SeedSequence(0))
-        verdict = noise_verdict(problem, row, linear.noises(problem, rng, probes))
+        verdict = noise_verdict(problem, row, linear.noises(problem, rng, probes), tracks)
     except RelnavError as error:
         return tracks, {"residuals_of": row, "missing": str(error)}
     return tuple(_with_residuals(t, row, residuals) for t in tracks), verdict
