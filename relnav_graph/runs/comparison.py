@@ -17,7 +17,7 @@ from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.metrics import summary
-from relnav_graph.scoring.residuals import judge_without_truth
+from relnav_graph.scoring.residuals import judge_by_residuals
 
 __all__ = ["Comparison", "Estimated", "compare", "compare_pass", "estimate_pass"]
 
@@ -42,7 +42,7 @@ class Estimated:
 class Comparison(Shown):
     """Several estimators on one pass, scored.
 
-    tracks: one for each estimator, in order, of a pass without truth the smoothed one that tells
+    tracks: one for each estimator, in order, of a recorded pass the smoothed one that tells
     most with its standardised residuals for innovations; problems and truths: of each track, the
     same ones for all but in a closed loop, where each estimator flies a pass of its own; summary:
     the object that `relnav compare --json` prints.
@@ -110,8 +110,9 @@ def compare_pass(
     tracks = tuple(track for _, track in each)
     times = opened.recording.times if opened.flown else opened.problem.times
     noise: dict[str, Any] = {}
-    if opened.recording.truth is None and not opened.flown:
-        tracks, noise = judge_without_truth(opened.problem, tracks)
+    # What is simulated has the noises that are declared, and truth to say so.
+    if (opened.recording.truth is None or not opened.simulated) and not opened.flown:
+        tracks, noise = judge_by_residuals(opened.problem, tracks)
     # What is simulated is written as it is read.
     cautions = pass_cautions(each[0][0].problem, () if opened.simulated else tracks)
     found = summary(

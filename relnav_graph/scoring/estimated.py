@@ -1,4 +1,4 @@
-"""What is told of a pass without truth, as numbers: estimates with their sigmas, and residuals."""
+"""What a pass tells without truth, as numbers: estimates with their sigmas, and residuals."""
 
 from __future__ import annotations
 

@@ -265,17 +265,15 @@ def _statics(s: Score) -> dict[str, Any]:
     }
 
 
-def _told(
-    row: dict[str, Any], track: Track, derived: Sequence[Derived], truth: Truth | None
-) -> Any:
+def _told(row: dict[str, Any], track: Track, derived: Sequence[Derived], residuals: bool) -> Any:
     """A row with what can be told without truth: estimates of the states that it does not know,
-    and, where there is none at all, residuals by sensor."""
+    and residuals by sensor, where they are asked for."""
     found = estimates(track, derived)
     for part in ("states", "statics"):
         for name, one in row.get(part, {}).items():
             if "rmse" not in one and name in found:
                 one |= estimate_row(found[name], track.t)
-    return row if truth is not None else row | sensor_rows(track)
+    return row | sensor_rows(track) if residuals else row
 
 
 def _row(
@@ -334,10 +332,10 @@ def summary(
     """The object that ``relnav compare --json`` prints: strict JSON, schema 1.
 
     truth: of tracks that have none of their own; cautions: of the pass; scored: what the scenario
-    says of scores; noise: the verdict on the declared noises of a pass without truth, see
-    `relnav_graph.scoring.residuals.judge_without_truth`. States that truth does not know have unit,
-    sigma and the last estimate; without any truth rows have residuals by sensor. Raises InputError
-    as :func:`score` does.
+    says of scores; noise: the verdict on the declared noises of a pass, see
+    `relnav_graph.scoring.residuals.judge_by_residuals`. States that truth does not know have unit,
+    sigma and the last estimate; of a recorded pass, which has no seed, and without any truth, rows
+    have residuals by sensor. Raises InputError as :func:`score` does.
     """
     rows = with_smoothed(tracks)
     references, apart = distances(rows)
@@ -365,7 +363,7 @@ def summary(
                 ),
                 track,
                 derived,
-                track.truth or truth,
+                seed is None or (track.truth or truth) is None,
             )
             for name, track in rows.items()
         },

@@ -1,4 +1,4 @@
-"""What a pass says of its own estimates where no truth is known: residuals and noises.
+"""What a pass says of its own estimates, without truth: residuals and noises.
 
 Of a smoothed trajectory, a whitened residual row e of the measurements has the variance 1 - h, with
 h its row of A P A^T: what the estimate took of it (the redundancy; Baarda 1968). So e / sqrt(1 - h)
@@ -23,7 +23,7 @@ from relnav_graph.scoring.noise_likelihood import explained
 from relnav_graph.scoring.noise_verdict import noise_verdict
 from relnav_graph.scoring.variance_components import Smoothed, residuals_after
 
-__all__ = ["judge_without_truth", "standardised_residuals"]
+__all__ = ["judge_by_residuals", "standardised_residuals"]
 
 #: Rows of which the estimate takes more than this say nothing of themselves.
 _TAKEN = 1 - 1e-6
@@ -67,7 +67,7 @@ def _with_residuals(track: Track, row: str, found: Mapping[str, Innovations]) ->
     return track
 
 
-def judge_without_truth(
+def judge_by_residuals(
     problem: Problem, tracks: tuple[Track, ...]
 ) -> tuple[tuple[Track, ...], dict[str, Any]]:
     """The tracks, the smoothed one that tells most with its standardised residuals for innovations,

@@ -1,4 +1,4 @@
-"""A pass without truth as plain text: estimates with their sigmas, and what residuals say."""
+"""What a pass tells without truth, as text: estimates with their sigmas, and what residuals say."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.scoring.agreement import distances, row_cautions
 from relnav_graph.scoring.metrics import table, with_smoothed
 from relnav_graph.scoring.noise_verdict import noise_said
-from relnav_graph.scoring.residuals import judge_without_truth
+from relnav_graph.scoring.residuals import judge_by_residuals
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +86,39 @@ def test_files_hold_what_is_derived_and_the_report_tells_all(
         assert f"<h3>{heading}</h3>" in page
     assert "Orbit of the target: semi major axis" in page
     assert "Consistency over the pass" in page
+
+
+@pytest.mark.parametrize("known", ["all", "derived alone"])
+def test_a_recorded_pass_is_judged_by_its_residuals_with_truth_too(
+    known: str, tmp_path: Path
+) -> None:
+    """A simulated one is not: it has the noises that are declared."""
+    simulated = open_pass(ZHANG, 1, None, ("time.epochs=60",))
+    truth = simulated.recording.truth
+    assert simulated.problem  # with its prior
+    assert truth
+    row = compare_pass(simulated, ["batch"]).summary
+    assert "noise" not in row
+    assert "sensors" not in row["estimators"]["batch"]
+    if known != "all":
+        R_oc, R_ot = (truth.values[f"{body}_attitude"] for body in ("chaser", "target"))
+        truth = replace(truth, values={"relative_attitude": R_ot.transpose(0, 2, 1) @ R_oc})
+    opened = replace(
+        simulated, simulated=False, recording=replace(simulated.recording, truth=truth)
+    )
+    object.__setattr__(opened, "problem", simulated.problem)
+    found = compare_pass(opened, ["iekf", "batch"])
+    assert found.summary["noise"]["residuals_of"] == "batch"
+    for name in ("iekf", "batch"):
+        assert found.summary["estimators"][name]["sensors"]["beacons"]["rows"] == 60 * 12
+        assert found.summary["estimators"][name]["states"]["relative_attitude"]["rmse"] > 0
+    text = table(found.summary)
+    assert "residuals in their own sigmas" in text
+    assert "declared noises, by the residuals of batch" in text
+    write_outputs(tmp_path, opened, found)
+    page = render(read_contents(tmp_path), plotly="")
+    for heading in ("Residuals", "Declared noises"):
+        assert f"<h3>{heading}</h3>" in page
 
 
 @pytest.mark.parametrize("off", [0.0, 6.0])
@@ -156,7 +189,7 @@ def test_the_sentence_below_the_noises_does_not_contradict_them() -> None:
     assert isinstance(beacons, BeaconLineOfSight)
     wider = replace(beacons, sigma=beacons.sigma / 0.86)
     problem = replace(known.problem, sensors={**known.problem.sensors, "beacons": wider})
-    _, noise = judge_without_truth(problem, (try_estimator("batch", problem),))
+    _, noise = judge_by_residuals(problem, (try_estimator("batch", problem),))
     (one,) = (n for n in noise["noises"] if n["noise"] == "sensors.beacons")
     assert (one["named"], noise_said(one)) == (False, "in doubt")
     low, high = one["factor_ci"]
