@@ -91,6 +91,7 @@ def _look(
                         f"the best trajectory from there is {far[k]:.3g} sigma off at"
                         f" t = {assembly.times[k]:.6g} s, most in {moved}; in a posterior that the"
                         f" covariance describes, it is at most {length:.2g}",
+                        moved,
                     ),
                 )
             if not RISES[0] < rise < RISES[1]:
@@ -100,8 +101,13 @@ def _look(
     return ()
 
 
-def _caution(length: float, what: str) -> Caution:
-    return Caution(SECOND_LOOK, f"with the first epoch displaced by {length:.2g} sigma, {what}")
+def _caution(length: float, what: str, which: str = "a direction of the state") -> Caution:
+    """What was found at so many sigmas, and what to do; which: block or direction is to blame."""
+    return Caution(
+        SECOND_LOOK,
+        f"with the first epoch displaced by {length:.2g} sigma, {what}. So {which} is hardly known:"
+        " a tighter prior or a sensor of it helps; else judge derived quantities",
+    )
 
 
 def _distances(layout: Layout, x: Array, P: Array, other: Array) -> Array:

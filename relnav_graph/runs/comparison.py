@@ -18,6 +18,7 @@ from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.metrics import summary
 from relnav_graph.scoring.residuals import judge_by_residuals
+from relnav_graph.scoring.text import caution_lines
 
 __all__ = ["Comparison", "Estimated", "compare", "compare_pass", "estimate_pass"]
 
@@ -62,10 +63,7 @@ class Comparison(Shown):
         return f"Comparison of {self.summary['scenario']!r}: {self.summary['epochs']} epochs", rows
 
     def _doubts(self) -> list[str]:
-        return [
-            ": ".join(filter(None, (c["estimator"], c["name"], c["text"])))
-            for c in self.summary["cautions"]
-        ]
+        return caution_lines(self.summary)
 
     def track(self, name: str) -> Track:
         """The track of an estimator. Raises KeyError when there is none of that name."""

@@ -11,6 +11,7 @@ from relnav_graph.scoring.told import estimate_lines, told_lines
 __all__ = [
     "ALIGNMENT",
     "aligned_columns",
+    "caution_lines",
     "consistency_lines",
     "explain_table",
     "study_table",
@@ -53,9 +54,37 @@ def _caution(caution: Mapping[str, Any]) -> str:
     return f"{caution['estimator'] or 'the pass'}: {caution['name']}: {caution['text']}"
 
 
+def caution_lines(summary: Mapping[str, Any]) -> list[str]:
+    """The cautions of a pass, a line each. What is said of several estimators, or of one and of
+    others that it stands for ("of batch: ..."), is said once, behind their names."""
+    rows, found = summary["estimators"], dict[tuple[str, str], list[str]]()
+    for c in summary["cautions"]:
+        whose, _, what = c["text"].removeprefix("of ").partition(": ")
+        text = what if c["text"].startswith("of ") and whose in rows else c["text"]
+        found.setdefault((c["name"], text), []).append(c["estimator"] or "the pass")
+    return [f"{', '.join(names)}: {name}: {text}" for (name, text), names in found.items()]
+
+
+def _unscored(rows: Mapping[str, Any]) -> list[str]:
+    """A line on what the truth lacks, where it knows nothing of what is estimated itself, so that
+    there is no ANEES; [] else."""
+    for row in rows.values():
+        states = row["states"]
+        scored = [n for n, s in states.items() if s.get("anees") is not None]
+        lacking = [n for n, s in states.items() if "rmse" not in s]
+        if row["anees"] is None and scored and lacking:
+            return [
+                f"ANEES is of the estimated states, and the truth says only {', '.join(scored)},"
+                f" derived of them: it lacks {', '.join(lacking)}"
+            ]
+    return []
+
+
 def consistency_lines(summary: Mapping[str, Any]) -> list[str]:
-    """What ANEES counts beside the estimate's covariance, and leaves out, a line each."""
-    rows, said, lines = summary["estimators"], summary.get("score", {}), list[str]()
+    """What ANEES counts beside the estimate's covariance, and leaves out, or why there is none, a
+    line each."""
+    rows, said = summary["estimators"], summary.get("score", {})
+    lines = _unscored(rows)
     exact = {n: r for n, r in rows.items() if r.get("anees_without_truth_noise") is not None}
     if exact:
         values = (f"{n} {_text(r['anees_without_truth_noise'], '.2f')}" for n, r in exact.items())
@@ -93,7 +122,7 @@ def table(summary: Mapping[str, Any]) -> str:
     lines = [title, "", *aligned_columns(header, overview)]
     lines += [f"{name}: {row['message']}" for name, row in rows.items() if row["message"]]
     lines += consistency_lines(summary)
-    lines += [f"caution: {_caution(c)}" for c in summary["cautions"]]
+    lines += [f"caution: {line}" for line in caution_lines(summary)]
     lines += told_lines(summary)
     width = max(map(len, ["estimator", *rows]))  # the same columns in every block
     for state, unit in _moving(rows).items():

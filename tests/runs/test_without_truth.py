@@ -115,6 +115,9 @@ def test_a_recorded_pass_is_judged_by_its_residuals_with_truth_too(
     text = table(found.summary)
     assert "residuals in their own sigmas" in text
     assert "declared noises, by the residuals of batch" in text
+    lacking = re.findall(r"truth says only relative_attitude, .*it lacks (.*)", text)
+    assert bool(lacking) == (known != "all")
+    assert not lacking or "chaser_attitude" in lacking[0].split(", ")
     write_outputs(tmp_path, opened, found)
     page = render(read_contents(tmp_path), plotly="")
     for heading in ("Residuals", "Declared noises"):
