@@ -110,6 +110,7 @@ def compare_pass(
     noise: dict[str, Any] = {}
     # What is simulated has the noises that are declared, and truth to say so.
     if (opened.recording.truth is None or not opened.simulated) and not opened.flown:
+        tell("residuals and declared noises ...")
         tracks, noise = judge_by_residuals(opened.problem, tracks)
     # What is simulated is written as it is read.
     cautions = pass_cautions(each[0][0].problem, () if opened.simulated else tracks)
