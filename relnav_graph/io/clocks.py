@@ -37,6 +37,9 @@ CLOCKS: dict[str, tuple[int, int, str]] = {
 }
 #: 1972-01-01, from when on UTC and leap seconds are known, in Unix time, s.
 _UTC_BEGAN = 63072000
+#: 2000-01-01 in Unix time, s: a thousand times what is before 1972 but reaches that are stamps in s
+#: that somebody declared as ms.
+_LIKELY = 946_684_800
 #: Stamps of an absolute clock beyond that, s, about 2200, are no seconds.
 _LAST = 7_258_118_400
 #: Later stamps than that, s, of a clock of its own lose nanoseconds as float64.
@@ -99,8 +102,10 @@ class Clock:
             return self._given()
         earliest = Decimal(int(first)) / NANO if isinstance(first, int | np.integer) else first
         if self.name == "unix" and earliest < _UTC_BEGAN:
+            short = _LIKELY < earliest * 1000 < _LAST
+            hint = ": are the stamps in s, not in ms?" if short else ""
             raise InputError(
-                f"{where}: found the stamp {earliest} s, which in Unix time is before 1972;"
+                f"{where}: found the stamp {earliest} s, which in Unix time is before 1972{hint};"
                 ' expected data.options.clock = "none", if it is of a clock of its own'
             )
         if self.name != "none" and earliest > _LAST:
