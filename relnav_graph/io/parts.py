@@ -103,7 +103,8 @@ def read_data(
     if not parts:
         raise InputError(f"{targets[0]}: found the target alone, expected other parts beside it")
     found = {path: _read(path, part, folder, known) for path, part in parts.items()}
-    if epoch is None:
+    told = epoch is not None
+    if not told:
         epoch = next((e for r in found.values() if (e := r.epoch) is not None), None)
     placed = {path: _placed(r, epoch, known.origin) for path, r in found.items()}
     if len(placed) == 1:
@@ -111,7 +112,7 @@ def read_data(
     else:
         whole = _union(placed, known, bool(data.get("simulate")))
     settings = {k: v for k, v in whole.settings.items() if k != "time"}
-    if epoch is not None:  # as data say it: of a stamp of 0
+    if epoch is not None and not told:  # as data say it: of a stamp of 0
         settings["time"] = {"epoch": str(epoch.after(-known.origin))}
     return replace(whole, settings=settings)
 

@@ -62,7 +62,9 @@ def write_outputs(
     }
     if opened.scenario.file.time.epoch is not None:
         attributes["time_epoch"] = opened.scenario.file.time.epoch
-        attributes["o"] = "i" if opened.scenario.file.orbit is None else "RTN"
+        # Stamps tell when t = 0 is, not that axes are inertial: who writes [time] epoch says so.
+        if opened.scenario.file.orbit is not None or opened.recording.epoch is None:
+            attributes["o"] = "i" if opened.scenario.file.orbit is None else "RTN"
     if "noise" in found.summary:
         attributes["noise"] = json.dumps(found.summary["noise"])
     seen = sights(found)

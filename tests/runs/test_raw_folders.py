@@ -76,3 +76,28 @@ def test_sensors_to_simulate_are_drawn_where_the_truth_alone_is_there(
     found = smoothed(capsys, "smooth", tmp_path, "-o", tmp_path / "out")
     error = np.abs(found - TRUE)
     assert 0 < error.max() < 0.3
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_stamps_in_unix_time_do_not_say_that_axes_are_inertial(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    told: bool,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """They tell when t = 0 is; a scenario that says it itself is taken at its word."""
+    rows = np.column_stack([(0 if told else 1.75e9) + T, SEEN / 1e3])
+    head = "stamp,north,east,down"
+    np.savetxt(tmp_path / "log.csv", rows, "%.17g", ",", header=head, comments="")
+    stamps = {"column": "stamp", "unit": "s", "clock": "none" if told else "unix"}
+    table = {"data": {"reader": "table", "options": MAPPING | {"time": stamps}}}
+    table |= {"time": {"epoch": "2025-06-15T15:00:00 UTC"}} if told else {}
+    (tmp_path / "scenario.toml").write_text(tomli_w.dumps(SCENARIO | table))
+    smoothed(capsys, "smooth", tmp_path, "-o", tmp_path / "out")
+    out = tmp_path / "own.oem"
+    code, _, said = relnav(
+        capsys, "convert", tmp_path / "out", out, "--track", "batch", "--option", "of=relative"
+    )
+    assert code == 0, said
+    assert "START_TIME = 2025-06-15T15:" in out.read_text()
+    assert ("are not known to be inertial" in caplog.text) == (not told)

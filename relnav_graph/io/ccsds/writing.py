@@ -52,13 +52,18 @@ def finite(path: Path, track: Track, values: Array, what: str) -> None:
         raise InputError(f"{path}: {track.name!r} has no finite {what} at t = {t} s")
 
 
-def target_states(path: Path, target: str | Recording, begin: Instant, t: Array) -> Array:
+def target_states(
+    path: Path, target: str | Recording, begin: Instant, t: Array, instead: str = ""
+) -> Array:
     """States of the target (N, 6), m and m/s, in i, from a file OEM or a recording of its orbit.
+    instead: what else one may ask for, for the error.
 
     Raises InputError where it is not given, or not known at these times.
     """
     if not target:
-        raise InputError(f"{path}: found no orbit of the target (option target), expected one")
+        raise InputError(
+            f"{path}: found no orbit of the target (option target), expected one{instead}"
+        )
     orbit = (
         target if isinstance(target, Recording) else orbit_recording(read_ephemeris(Path(target)))
     )

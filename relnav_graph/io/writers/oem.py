@@ -108,7 +108,8 @@ def _states(
     if of == "chaser" and own:
         return _values(track, _OWN), track.covariance(*_OWN)
     if of == "chaser" and relative:
-        at = target_states(path, target, begin, track.t)
+        instead = ", or of=relative for the relative states themselves"
+        at = target_states(path, target, begin, track.t, instead)
         states = _values(track, _RELATIVE)
         if not orbital:
             return at + states, track.covariance(*_RELATIVE)
