@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from relnav_graph.arrays import Array, Indices
+from relnav_graph.arrays import Array, Indices, finite
 from relnav_graph.compiled.contracts import GUARD, MARK
 from relnav_graph.core.contracts import Derived, Kernel, Sensor
 from relnav_graph.core.measurement import Measurement
@@ -28,6 +28,7 @@ __all__ = [
     "Outputs",
     "SensorModel",
     "derived_quantities",
+    "evaluate",
 ]
 ENTRY_POINTS = "relnav_graph.models"
 
@@ -304,3 +305,20 @@ def derived_quantities(layout: Layout) -> list[Derived]:
         and cls.block.name not in layout
         and all(block in layout.blocks for block in cls.reads)
     ]
+
+
+def evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
+    """Value (N, 3, 3) or (N, dim), SI, and Jacobian (N, dim, sum of dims read) at N epochs, NaN
+    where an argument is not finite. x: (N, 3, 3) or (N, dim) for each block that is read."""
+    block, n = quantity.block, len(x[0])
+    value = np.full((n, block.size), np.nan)
+    jacobian = np.full((n, block.dim, sum(b.dim for b in quantity.reads)), np.nan)
+    known = np.flatnonzero(finite(*x))
+    if isinstance(quantity, DerivedQuantity):  # a whole pass at once
+        found, jacobian[known] = quantity.values(*(a[known] for a in x))
+        value[known] = found.reshape(len(known), block.size)
+        return block.unpack(value), jacobian
+    for k in known:
+        one, jacobian[k] = quantity.value(*(a[k] for a in x))
+        value[k] = one.reshape(-1)
+    return block.unpack(value), jacobian

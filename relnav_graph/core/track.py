@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.cautions import Caution
+from relnav_graph.core.contracts import Derived
 from relnav_graph.core.lent import Lent
 from relnav_graph.core.measurement import SAME_TIME, InputSeries, Measurement, Stamps
+from relnav_graph.core.models import derived_quantities, evaluate
 from relnav_graph.core.shown import Shown, listed, span
 from relnav_graph.core.state import Block, Layout
+from relnav_graph.errors import ModelError
 from relnav_graph.maths.instants import Instant
 
 __all__ = [
@@ -171,20 +174,41 @@ class Track(Shown):
         return replace(self, t=self.t[epochs], x=self.x[epochs], P=self.P[epochs], statics=s)
 
     def value(self, name: str) -> Array:
-        """Values of one block, (N, 3, 3) for an attitude, (N, dim) otherwise."""
+        """Values of one block, or of what derives from blocks (the relative attitude, say),
+        (N, 3, 3) for an attitude, (N, dim) otherwise, SI. Raises ModelError on another name."""
         if self.statics is not None and name in self.statics.layout:
             return self.statics.layout.value(self.statics.x, name)
-        return self.layout.value(self.x, name)
+        if name in self.layout:
+            return self.layout.value(self.x, name)
+        return self._derived(name)[1]
 
     def covariance(self, *names: str) -> Array:
-        """Joint covariance of blocks in the order of their names, (N, dims, dims), SI."""
+        """Joint covariance of blocks, and of what derives from them, in the order of their names,
+        (N, dims, dims), SI. Raises ModelError on another name."""
         if len(names) == 1:
             return self._between(*names, *names)
         return np.block([[self._between(a, b) for b in names] for a in names])
 
+    def _derived(self, name: str) -> tuple[Derived, Array, Array]:
+        """A derived quantity, its values and its Jacobian (N, dim, dims read). Raises ModelError
+        where the blocks give none of that name."""
+        known = {q.block.name: q for q in derived_quantities(Layout(self.blocks))}
+        if (quantity := known.get(name)) is None:
+            there = [b.name for b in self.blocks]
+            also = f", and what derives from them: {', '.join(known)}" if known else ""
+            raise ModelError(f"no block {name!r}; {self.name!r} has {', '.join(there)}{also}")
+        return quantity, *evaluate(quantity, [self.value(b.name) for b in quantity.reads])
+
     def _between(self, a: str, b: str) -> Array:
-        """Covariance of two blocks, (N, dim of a, dim of b)."""
+        """Covariance of two blocks or derived quantities, (N, dim of a, dim of b)."""
         s, moving = self.statics, self.layout
+        own = [moving] if s is None else [moving, s.layout]
+        if not any(a in layout for layout in own):
+            quantity, _, J = self._derived(a)
+            found: Array = J @ np.hstack([self._between(r.name, b) for r in quantity.reads])
+            return found
+        if not any(b in layout for layout in own):
+            return self._between(b, a).transpose(0, 2, 1)
         if s is None or (a in moving and b in moving):
             return self.P[:, moving.tangent(a), moving.tangent(b)]
         if a in moving:

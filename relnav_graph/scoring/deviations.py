@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from relnav_graph.arrays import Array, Indices
+from relnav_graph.arrays import Array, Indices, finite
 from relnav_graph.core.contracts import Ambiguous, Derived
-from relnav_graph.core.models import DerivedQuantity, derived_quantities
+from relnav_graph.core.models import derived_quantities, evaluate
 from relnav_graph.core.scored import InAxes
 from relnav_graph.core.state import Block, Layout
 from relnav_graph.core.track import Track, Truth
@@ -106,30 +106,6 @@ class StateErrors:
         return self.members or (self.block,)
 
 
-def finite(*arrays: Array) -> NDArray[np.bool_]:
-    """Which rows are finite in all arrays (N, ...)."""
-    rows = np.ones(len(arrays[0]), dtype=np.bool_)
-    for a in arrays:
-        rows &= np.isfinite(a).all(axis=tuple(range(1, a.ndim)))
-    return rows
-
-
-def _evaluate(quantity: Derived, x: Sequence[Array]) -> tuple[Array, Array]:
-    """Value and Jacobian (N, dim, n) at N epochs; NaN where an argument is not finite."""
-    block, n = quantity.block, len(x[0])
-    value = np.full((n, block.size), np.nan)
-    jacobian = np.full((n, block.dim, sum(b.dim for b in quantity.reads)), np.nan)
-    known = np.flatnonzero(finite(*x))
-    if isinstance(quantity, DerivedQuantity):  # a whole pass at once
-        found, jacobian[known] = quantity.values(*(a[known] for a in x))
-        value[known] = found.reshape(len(known), block.size)
-        return block.unpack(value), jacobian
-    for k in known:
-        one, jacobian[k] = quantity.value(*(a[k] for a in x))
-        value[k] = one.reshape(-1)
-    return block.unpack(value), jacobian
-
-
 @np.errstate(over="ignore", invalid="ignore")  # of diverged tracks
 def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstimates]:
     """Estimates of every block of the track and of every derived quantity that its blocks give.
@@ -155,7 +131,7 @@ def estimates(track: Track, derived: Sequence[Derived]) -> dict[str, StateEstima
         if (quantity.block.name in own and not instead) or not known:
             continue
         names = [b.name for b in quantity.reads]
-        value, jacobian = _evaluate(quantity, [track.value(n) for n in names])
+        value, jacobian = evaluate(quantity, [track.value(n) for n in names])
         P = jacobian @ track.covariance(*names) @ jacobian.transpose(0, 2, 1)
         if instead:
             of = Linear(tuple(quantity.reads), jacobian)
@@ -212,7 +188,7 @@ def _truth_at(
         name, names = quantity.block.name, [b.name for b in quantity.reads]
         new = name not in values or isinstance(quantity, InAxes)
         if new and all(n in values for n in names):
-            value, J = _evaluate(quantity, [values[n] for n in names])
+            value, J = evaluate(quantity, [values[n] for n in names])
             reads: Sequence[Block] = quantity.reads
             if name in truth.sigmas and not isinstance(quantity, InAxes):  # said of itself
                 reads, J = [quantity.block], np.tile(np.eye(quantity.block.dim), (len(t), 1, 1))

@@ -13,8 +13,9 @@ from passes import ZHANG
 
 import relnav_graph as rg
 from relnav_graph.core.models import derived_quantities
+from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Track
-from relnav_graph.errors import InputError
+from relnav_graph.errors import InputError, ModelError
 from relnav_graph.io.tabular import to_components
 from relnav_graph.maths import so3
 from relnav_graph.runs.plotting import _angles
@@ -57,6 +58,32 @@ def test_what_is_derived_is_in_both(track: Track) -> None:
     )
     assert dataset["position_in_target"].attrs["units"] == "m"
     assert dataset["relative_attitude"].attrs["frame"] == "tc"
+
+
+def test_what_is_derived_has_value_and_covariance_by_name(track: Track) -> None:
+    """Jointly with what it derives from, constants among them: J P J^T of all of them."""
+    states = estimates(track, derived_quantities(Layout(track.blocks)))
+    for name in ("relative_attitude", "inertia_ratios"):
+        np.testing.assert_array_equal(track.value(name), states[name].value)
+        np.testing.assert_allclose(track.covariance(name), states[name].P, rtol=1e-9)
+    names = ("chaser_attitude", "relative_attitude", "target_attitude")
+    P = track.covariance(*names)
+    assert P.shape == (len(track.t), 9, 9)
+    R = track.value("relative_attitude")
+    # R_tc (I + e) = (R_ot (I + e_t))^T R_oc (I + e_c), so that e = e_c - R_tc^T e_t.
+    J = np.concatenate([np.tile(np.eye(3), (len(R), 1, 1)), -R.transpose(0, 2, 1)], axis=2)
+    own = track.covariance("chaser_attitude", "target_attitude")
+    np.testing.assert_allclose(P[:, :3, 3:6], own[:, :3] @ J.transpose(0, 2, 1), atol=1e-12)
+    np.testing.assert_allclose(P[:, 6:, 3:6], own[:, 3:] @ J.transpose(0, 2, 1), atol=1e-12)
+    np.testing.assert_allclose(P, P.transpose(0, 2, 1), atol=1e-18)
+
+
+def test_an_unknown_name_is_answered_with_all_there_are(track: Track) -> None:
+    for call in (track.value, track.covariance):
+        with pytest.raises(ModelError, match=r"no block 'no_such'; 'ekf' has ") as caught:
+            call("no_such")
+        assert "inertia_parameters" in str(caught.value)  # a constant
+        assert "relative_attitude" in str(caught.value)  # derived
 
 
 def test_points_of_a_map_are_an_array_by_id() -> None:
