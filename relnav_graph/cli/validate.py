@@ -11,7 +11,7 @@ import click
 from relnav_graph.cli.shared import show_events
 from relnav_graph.core.cautions import Caution
 from relnav_graph.io.parts import data_problems
-from relnav_graph.runs.passes import open_dataset
+from relnav_graph.runs.passes import known_of, open_dataset
 from relnav_graph.scenario.build import load_scenario
 from relnav_graph.scenario.json_schema import json_schema
 from relnav_graph.scenario.scenario import Scenario
@@ -50,11 +50,13 @@ def command(file: Path | None, assignments: tuple[str, ...], trust: bool, schema
 
 def _scenario(file: Path, assignments: Sequence[str]) -> Scenario:
     """The scenario, with its readers checked, too. Raises ScenarioError with all that is wrong."""
-    problems = data_problems(override(read_toml(file), assignments).get("data"))
+    data = override(read_toml(file), assignments).get("data")
+    problems = data_problems(data)
     try:
         scenario = load_scenario(file, assignments)
     except ScenarioError as error:
         raise ScenarioError(file.stem, [*error.problems, *problems]) from error
+    problems = problems or data_problems(data, known_of(scenario))
     if problems:
         raise ScenarioError(file.stem, problems)
     return scenario

@@ -21,7 +21,6 @@ A message of CCSDS names its quantities, frames and body itself. What it leaves 
 
 from __future__ import annotations
 
-import difflib
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -35,8 +34,6 @@ import numpy as np
 from relnav_graph.arrays import Array, Indices
 from relnav_graph.core.epochs import epoch_times
 from relnav_graph.core.measurement import QUATERNION, InputSeries, Measurement
-from relnav_graph.core.models import derived_quantities
-from relnav_graph.core.state import Layout
 from relnav_graph.core.track import Recording, Truth
 from relnav_graph.errors import InputError
 from relnav_graph.io.clocks import Clock
@@ -47,7 +44,16 @@ from relnav_graph.io.poses import Motion, Where, quaternions
 from relnav_graph.io.truth import at_epochs, block_like
 from relnav_graph.units import column_unit
 
-__all__ = ["SAMPLES", "Collected", "Roles", "check_role", "given_columns", "poses", "wrong_sensor"]
+__all__ = [
+    "SAMPLES",
+    "Collected",
+    "Roles",
+    "check_role",
+    "check_roles",
+    "given_columns",
+    "poses",
+    "wrong_sensor",
+]
 
 _LOG = logging.getLogger(__name__)
 SAMPLES = ("mean", "instant")
@@ -79,14 +85,27 @@ def check_role(path: Path, what: str, role: str, roles: Mapping[str, str]) -> No
         )
 
 
-def sensor_columns(where: str, name: str, known: Known, hint: str = "") -> tuple[str, ...]:
-    """What a sensor of the scenario measures. Raises InputError on a name that it does not have;
-    hint: what else one may say."""
-    sensor = known.sensors.get(name)
-    if sensor is None:
-        there = ", ".join(known.sensors) or "none"
-        raise InputError(f"{where}: found {name!r}, expected a sensor, one of {there}{hint}")
-    return tuple(sensor.columns)
+def check_roles(
+    known: Known,
+    truth: Any = None,
+    measured: Any = None,
+    inputs: Any = None,
+    inverse: bool = False,
+    samples: str = "mean",
+    **_: Any,
+) -> None:
+    """What can be said of the options of a reader before there is a file: see `Roles.check`."""
+    Roles.of("data.options", truth, measured, inputs, inverse, samples).check(known)
+
+
+def _measures(where: str, name: str, known: Known) -> str:
+    """Which quantity a sensor of the scenario measures, by its columns."""
+    where, able = f"{where}.measured", f"a sensor of a {', '.join(_COLUMNS.values())}"
+    hint = '; where it is not known, its quantity beside it, as { pose = "NAME" }'
+    columns = known.columns_of(where, name, hint)
+    if columns not in _COLUMNS:
+        raise wrong_sensor(where, name, columns, able)
+    return _COLUMNS[columns]
 
 
 def wrong_sensor(where: str, name: str, columns: Sequence[str], expected: str) -> InputError:
@@ -103,7 +122,7 @@ def given_columns(path: Path, known: Known, name: str, there: Collection[str]) -
         raise InputError(f"{where}: found none: measured by which sensor?")
     if not known.sensors:
         return tuple(c for c in there if column_unit(c) != "m/s")
-    columns = sensor_columns(where, name, known)
+    columns = known.columns_of(where, name)
     if not set(columns) <= set(there):
         raise wrong_sensor(where, name, columns, f"a sensor of {', '.join(there)}")
     return columns
@@ -162,6 +181,18 @@ class Roles:
             covariance,
         )
 
+    def check(self, known: Known) -> None:
+        """Raise InputError on sensors and inputs that the scenario does not have, and warn of
+        truth that it does not."""
+        for name in self.sensors if known.complete else ():
+            _measures(self.where, name, known)
+        for quantity, name in self.measured.items():
+            known.check_sensor(f"{self.where}.measured.{quantity}", name)
+        for quantity, name in self.inputs.items():
+            known.check_input(f"{self.where}.inputs.{quantity}", name)
+        for quantity, name in self.truth.items():
+            known.check_truth(f"{self.where}.truth.{quantity}", name)
+
     def only(self, *kinds: str) -> Roles:
         """The same with some of "truth", "measured" and "inputs" alone; what of is inverted
         are the first two."""
@@ -203,10 +234,10 @@ class Collected:
         for quantity, block in roles.truth.items():
             value, P = _value(motion, quantity, f"{roles.where}.truth"), motion.covariance(quantity)
             sigma = None if P is None else sigmas_of(P)
-            self.check_truth(f"{roles.where}.truth.{quantity}", block)
+            self.known.check_truth(f"{roles.where}.truth.{quantity}", block)
             self.add_truth(f"{roles.where}.truth.{quantity}", block, motion.t, value, sigma)
         for name in roles.sensors:
-            self._add_measured(motion, self._measures(roles.where, name), name, roles)
+            self._add_measured(motion, _measures(roles.where, name, self.known), name, roles)
         for quantity, name in roles.measured.items():
             self._add_measured(motion, quantity, name, roles)
         for quantity, name in roles.inputs.items():
@@ -214,19 +245,10 @@ class Collected:
             self._check_input(f"{roles.where}.inputs.{quantity}", name, quantity)
             self.add_input(motion.where, name, motion.t, value, roles.samples)
 
-    def _measures(self, where: str, name: str) -> str:
-        """Which quantity a sensor of the scenario measures, by its columns."""
-        where, able = f"{where}.measured", f"a sensor of a {', '.join(_COLUMNS.values())}"
-        hint = '; where it is not known, its quantity beside it, as { pose = "NAME" }'
-        columns = sensor_columns(where, name, self.known, hint)
-        if columns not in _COLUMNS:
-            raise wrong_sensor(where, name, columns, able)
-        return _COLUMNS[columns]
-
     def _add_measured(self, motion: Motion, quantity: str, name: str, roles: Roles) -> None:
         """One measurement of a quantity, or of the "pose", at each time, for a sensor."""
         where = f"{roles.where}.measured"
-        if name in self.known.sensors and self._measures(roles.where, name) != quantity:
+        if name in self.known.sensors and _measures(roles.where, name, self.known) != quantity:
             columns = ", ".join(self.known.sensors[name].columns)
             raise InputError(f"{where}: found a {quantity} for {name!r}, which measures {columns}")
         parts = ("position", "attitude") if quantity == "pose" else (quantity,)
@@ -300,16 +322,6 @@ class Collected:
             if value.shape[1:] != shape:
                 raise InputError(f"{where}: found {value.shape[1:]} for {name!r}, expected {shape}")
         self.truth[name] = _True(t, value, sigma, where)
-
-    def check_truth(self, where: str, name: str) -> None:
-        """Say that the scenario has no block, nor what derives from its blocks, of a name that
-        somebody gave."""
-        blocks = self.known.blocks
-        there = [*blocks, *(q.block.name for q in derived_quantities(Layout(blocks.values())))]
-        if blocks and name not in there:
-            close = difflib.get_close_matches(name, there, 1)
-            hint = f" (is {close[0]!r} meant?)" if close else ""
-            _LOG.warning(f"{where}: the scenario has no {name!r}{hint}: it scores nothing")
 
     def recording(self, settings: Mapping[str, Any] | None = None) -> Recording:
         """The recording: epochs are the times of measurements, without any those of truth."""

@@ -82,23 +82,7 @@ class Target:
     def _scaled(self, columns: Columns, key: str, unit: str, count: int, si: Any) -> Array:
         """Columns in SI. si: their SI units, where known."""
         found = self._stacked(columns, key, count, None)
-        given, n = self.options.get(unit), found.shape[1]
-        units = [given] * n if isinstance(given, str) else given
-        where = f"{self.where}.{unit}"
-        if (
-            not isinstance(units, list)
-            or len(units) != n
-            or not all(isinstance(u, str) for u in units)
-        ):
-            raise InputError(f"{where}: found {given!r}, expected a unit, or one for each of {n}")
-        expected = si if si is not None and len(si) == n else [None] * n
-        try:
-            factors = [
-                si_scale(u) if e is None else unit_scale(u, e)
-                for u, e in zip(units, expected, strict=True)
-            ]
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from error
+        factors = _factors(f"{self.where}.{unit}", self.options.get(unit), found.shape[1], si)
         scaled: Array = found * np.array(factors)
         return scaled
 
@@ -142,7 +126,7 @@ class Target:
             found.add_input(columns.where, self.name, t, values[0], samples)
         elif self.role == "truth":
             value = R if R is not None else values[0]
-            found.check_truth(self.where, self.name)
+            found.known.check_truth(self.where, self.name)
             found.add_truth(self.where, self.name, t, value, sigma)
         else:
             z = np.hstack(values if R is None else [*values, quaternions(R)])
@@ -177,6 +161,41 @@ class Target:
             where = columns.where(int(rows[bad[0]]))
             raise InputError(f"{where}: found the id {ids[bad[0]]}, expected a whole number")
         return ids.astype(np.int64)
+
+
+def _factors(where: str, given: Any, n: int, si: Sequence[str | None] | None) -> list[float]:
+    """Factors to SI of n columns, of one unit or a list; si: their SI units, where known: columns
+    that have none need none. Raises InputError on other units."""
+    if given is None and si and all(unit == "1" for unit in si):
+        return [1.0] * n
+    units = [given] * n if isinstance(given, str) else given
+    if not isinstance(units, list) or len(units) != n or not all(isinstance(u, str) for u in units):
+        like = f" such as {si[0]!r}" if si and si[0] else ""
+        each = f", or one for each of {n}" if n > 1 else ""
+        raise InputError(
+            f"{where}: found {given!r}, expected a unit{like}{each}; '1' is that of numbers"
+            " without any"
+        )
+    expected = si if si is not None and len(si) == n else [None] * n
+    try:
+        return [
+            si_scale(u) if e is None else unit_scale(u, e)
+            for u, e in zip(units, expected, strict=True)
+        ]
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _check_units(
+    where: str, options: Mapping[str, Any], units: Sequence[str | None] | None
+) -> None:
+    """Raise InputError on units that are none, or of something else, before there is a file."""
+    for key, unit, si in (("columns", "unit", units), ("sigma", "sigma_unit", None)):
+        if key in options:
+            given, named = options.get(unit), options[key]
+            # How many there are only the file knows: of what says nothing itself, one.
+            lists = (x for x in (given, si, named) if isinstance(x, list) and x)
+            _factors(f"{where}.{unit}", given, len(next(lists, "1")), si)
 
 
 def _units(role: str, name: str, known: Known) -> tuple[list[str | None] | None, int | None]:
@@ -214,6 +233,7 @@ def targets_of(
             units, count = _units(role, name, known)
             if count is not None and (count > 0) != ("columns" in options):
                 raise InputError(f"{where}: found {', '.join(options)}, expected {count} columns")
+            _check_units(where, options, units)
             targets.append(Target(where, role, name, stamps, options, units))
     if not targets:
         raise InputError(

@@ -16,7 +16,7 @@ from relnav_graph.core.measurement import InputSeries, Measurement
 from relnav_graph.core.track import Recording, Truth, at_all_times
 from relnav_graph.errors import InputError
 from relnav_graph.io.known import Known
-from relnav_graph.io.readers import asks, options_wrong, read_raw
+from relnav_graph.io.readers import asks, options_wrong, read_raw, roles_wrong
 from relnav_graph.io.truth import at_epochs, block_like
 from relnav_graph.maths.instants import Instant, moved
 
@@ -38,13 +38,16 @@ def _options(part: Mapping[str, Any]) -> Any:
     return part.get("options", {})
 
 
-def data_problems(data: Any) -> list[tuple[str, str]]:
-    """What is wrong with readers that a table [data] names, and with their options: paths and
-    messages. What is no such table is reported elsewhere."""
+def data_problems(data: Any, known: Known | None = None) -> list[tuple[str, str]]:
+    """What is wrong with readers that a table [data] names, and with their options, by what the
+    scenario knows where that is given: paths and messages. What is no such table is reported
+    elsewhere."""
     found = []
     for path, part in _parts(data).items() if isinstance(data, Mapping) else ():
         if isinstance(part.get("reader"), str):
-            wrong = options_wrong(part["reader"], _options(part))
+            reader, options = part["reader"], _options(part)
+            wrong = options_wrong(reader, options)
+            wrong = wrong or ("" if known is None else roles_wrong(reader, options, known))
             found += [(path, wrong)] if wrong else []
     return found
 

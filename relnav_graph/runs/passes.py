@@ -25,7 +25,15 @@ from relnav_graph.scenario.settings import DataSettings
 from relnav_graph.scenario.time_settings import TimeSettings
 from relnav_graph.scenario.toml import override, read_toml
 
-__all__ = ["Pass", "is_dataset", "open_dataset", "open_pass", "recorded_pass", "simulated_pass"]
+__all__ = [
+    "Pass",
+    "is_dataset",
+    "known_of",
+    "open_dataset",
+    "open_pass",
+    "recorded_pass",
+    "simulated_pass",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,12 +211,12 @@ def _read_folder(
         told = TimeSettings.model_validate(time)
     except ValidationError as error:
         raise ScenarioError(where, from_pydantic("time", error)) from error
-    known = _known(made(None)) if need_known(data) else Known(origin=told.origin)
+    known = known_of(made(None)) if need_known(data) else Known(origin=told.origin)
     epoch = None if told.epoch is None else Instant.parse(told.epoch)
     return read_data(data, folder, known, epoch)
 
 
-def _known(scenario: Scenario) -> Known:
+def known_of(scenario: Scenario) -> Known:
     """What readers may know of a scenario."""
     return Known(
         scenario.sensors,
@@ -219,6 +227,8 @@ def _known(scenario: Scenario) -> Known:
         scenario.file.time.tolerance,
         scenario.file.time.origin,
         {name for name, stamps in scenario.stamps.items() if stamps.lag},
+        complete=scenario.file.sensors.keys() <= scenario.sensors.keys()
+        and scenario.file.processes.keys() <= scenario.processes.keys(),
     )
 
 

@@ -13,7 +13,7 @@ from relnav_factors.sensors.pose_measurement import PoseMeasurement
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from relnav_graph.core.catalogue import RELATIVE_ATTITUDE, RELATIVE_POSITION_T
+from relnav_graph.core.catalogue import INERTIA, RELATIVE_ATTITUDE, RELATIVE_POSITION_T
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.known import Known
@@ -190,11 +190,17 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "clock": ({"time": {"column": "t", "unit": "s"}, "inputs": {"gyro": GYRO}}, "neither of clock"),
     "unit of time": ({"time": {"column": "t", "clock": "unix"}, "inputs": {"g": GYRO}}, "found ''"),
     "column": (
-        {"inputs": {"gyro": {"columns": "sigma_NB", "unit": "1"}}},
+        {"inputs": {"gyro": {"columns": "sigma_NB", "unit": "rad/s"}}},
         r"found no 'sigma_NB'; is 'sigma_BN' meant\?; there are t, r \(5, 3\), q",
     ),
-    "index": ({"inputs": {"gyro": {"columns": "r[3]", "unit": "m"}}}, r"'r\[3\]' of an array"),
-    "no unit": ({"truth": {"relative_position": {"columns": "r"}}}, "unit: found None, expected a"),
+    "index": (
+        {"inputs": {"gyro": {"columns": "r[3]", "unit": "rad/s"}}},
+        r"'r\[3\]' of an array",
+    ),
+    "no unit": (
+        {"truth": {"relative_position": {"columns": "r"}}},
+        "unit: found None, expected a unit such as 'm', or one for each of 3; '1' is that of numb",
+    ),
     "other unit": (
         {"truth": {"relative_position": {"columns": "r", "unit": "km/s"}}},
         "truth.relative_position.unit: found unit 'km/s', expected one like 'm'",
@@ -228,6 +234,20 @@ def test_what_is_refused(tmp_path: Path, name: str) -> None:
     path = npz(tmp_path, short=np.ones(4), r_T=PLACES.T, bad=bad, big=2 * XYZW)
     with pytest.raises(InputError, match=message):
         read_raw("table", path, {"time": UNIX, **options}, KNOWN)
+
+
+def test_numbers_without_a_unit_need_none(tmp_path: Path) -> None:
+    """Where the scenario says that they have none; else nobody knows, and "1" says so."""
+    known = Known(blocks={INERTIA.name: INERTIA})
+    path, options = npz(tmp_path), {"columns": ["w[0]", "w[1]"]}
+    given = {"time": UNIX, "truth": {INERTIA.name: options}}
+    found = read_raw("table", path, given, known).truth
+    assert found is not None
+    np.testing.assert_array_equal(found.values[INERTIA.name], ARRAYS["w"][:, :2])
+    with pytest.raises(InputError, match="found None, expected a unit, or one for each of 2; '1'"):
+        read_raw("table", path, given)
+    with pytest.raises(InputError, match="found unit 'm', expected one like '1'"):
+        read_raw("table", path, given | {"truth": {INERTIA.name: options | {"unit": "m"}}}, known)
 
 
 def test_objects_that_nobody_names_stay_unread(tmp_path: Path) -> None:

@@ -101,3 +101,48 @@ def test_stamps_in_unix_time_do_not_say_that_axes_are_inertial(
     assert code == 0, said
     assert "START_TIME = 2025-06-15T15:" in out.read_text()
     assert ("are not known to be inertial" in caplog.text) == (not told)
+
+
+OPTIONS = {"unit": "km", "columns": ["north", "east", "down"]}
+#: Options of a reader, and what is said of them before there is any file.
+WRONG: dict[str, tuple[str, dict[str, Any], str]] = {
+    "unit": ("table", {"sensors": {"fix": OPTIONS | {"unit": "kms"}}}, "fix.unit: unit 'kms'"),
+    "other unit": ("table", {"sensors": {"fix": OPTIONS | {"unit": "s"}}}, "one like 'm'"),
+    "sensor": ("table", {"sensors": {"fox": OPTIONS}}, "fox: found 'fox', expected a sensor, one"),
+    "input": ("table", {"inputs": {"gyro": OPTIONS}}, "gyro: found 'gyro', expected an input, one"),
+    "clock": ("table", {"time": {"column": "t", "unit": "s"}}, "time: found neither of clock"),
+    "measured": (
+        "tum",
+        {"measured": "fox"},
+        "measured: found 'fox', expected a sensor, one",
+    ),
+    "by quantity": ("tum", {"measured": {"position": "fox"}}, "measured.position: found 'fox'"),
+    "imu": ("euroc", {"inputs": {"rate": "gyro"}}, "inputs.rate: found 'gyro', expected an input"),
+    "topic": ("ros", {"topics": {"/a": {"measured": "fox"}}}, "/a.measured: found 'fox', expected"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_options_are_looked_at_before_there_are_files(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
+) -> None:
+    reader, options, says = WRONG[name]
+    options = MAPPING | options if reader == "table" else options
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps(SCENARIO | {"data": {"reader": reader, "options": options}}))
+    code, _, said = relnav(capsys, "validate", path)
+    assert code == 2
+    assert "data: data.options." in said
+    assert says in said
+
+
+def test_truth_that_scores_nothing_is_named_before_there_are_files(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    truth = {"relative_positon": OPTIONS, "relative_velocity": OPTIONS | {"unit": "km/s"}}
+    data = {"reader": "table", "options": MAPPING | {"truth": truth}}
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps(SCENARIO | {"data": data}))
+    assert relnav(capsys, "validate", path)[0] == 0
+    assert "has no 'relative_positon' (is 'relative_position' meant?)" in caplog.text
+    assert "'relative_velocity'" not in caplog.text

@@ -6,6 +6,9 @@ folder, in which it finds its files by pattern; where the module says ``FILES = 
 file instead, and ``SUFFIXES = (".oem",)`` says how names of such files end. A parameter `known` is
 no option: it gets what the scenario knows, as `relnav_graph.io.known.Known`. Where the data know
 when t = 0 of the recording is, its `settings` say so, as ``{"time": {"epoch": str(instant)}}``.
+
+A function ``check(known, **options)`` of such a module, if there is one, raises InputError on what
+is wrong with options, by what the scenario knows, before there are files.
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ __all__ = [
     "options_wrong",
     "read_raw",
     "readers",
+    "roles_wrong",
     "takes_files",
 ]
 
@@ -87,6 +91,17 @@ def options_wrong(name: str, options: Any) -> str:
         return f"data.options: found {options!r}, expected a table"
     wrong = wrong_options(read, 1, options, [_KNOWN])
     return f"reader {name!r}: {wrong}" if wrong else ""
+
+
+def roles_wrong(name: str, options: Mapping[str, Any], known: Known) -> str:
+    """What the `check` of a reader, if it has one, finds wrong with its options; "": nothing."""
+    check = getattr(importlib.import_module(_module(name)), "check", None)
+    try:
+        if check is not None:
+            check(known, **options)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def read_raw(

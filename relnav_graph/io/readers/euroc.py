@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.io.clocks import Clock
-from relnav_graph.io.declared import Collected, Roles
+from relnav_graph.io.declared import Collected, Roles, check_roles
 from relnav_graph.io.known import Known
 from relnav_graph.io.lines import Rows, file_of, numbers, rising
 from relnav_graph.io.poses import Motion, from_quaternions
 
-__all__ = ["FILES", "read"]
+__all__ = ["FILES", "check", "read"]
 
 FILES = True
+check = check_roles
 _POSE = ("timestamp", *(f"p_RS_R_{a}" for a in "xyz"), *(f"q_RS_{a}" for a in "wxyz"))
 _IMU = ("timestamp", *(f"w_RS_S_{a}" for a in "xyz"), *(f"a_RS_S_{a}" for a in "xyz"))
 #: What may follow the pose, three columns each.

@@ -19,15 +19,16 @@ from relnav_graph.core.track import Recording
 from relnav_graph.errors import InputError
 from relnav_graph.files import file_in
 from relnav_graph.io.clocks import Clock
-from relnav_graph.io.declared import Roles, poses
+from relnav_graph.io.declared import Roles, check_roles, poses
 from relnav_graph.io.known import Known
 from relnav_graph.io.lines import Rows, file_of, numbers
 from relnav_graph.io.poses import Where, from_matrices
 from relnav_graph.units import parse_quantity
 
-__all__ = ["FILES", "read"]
+__all__ = ["FILES", "check", "read"]
 
 FILES = True
+check = check_roles
 _COLUMNS = tuple(f"T{i}{j}" for i in range(3) for j in range(4))
 
 

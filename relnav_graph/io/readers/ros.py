@@ -31,7 +31,7 @@ from relnav_graph.io.declared import Collected, Roles
 from relnav_graph.io.known import Known
 from relnav_graph.io.ros_messages import TYPES, motion_of
 
-__all__ = ["FILES", "read"]
+__all__ = ["FILES", "check", "read"]
 
 FILES = True
 _OPTIONS = ("truth", "measured", "inputs", "inverse", "samples", "covariance")
@@ -52,6 +52,12 @@ def _roles(topics: Any) -> dict[str, Roles]:
             raise InputError(f"{where}: unknown option {unknown[0]!r}; known are {known}")
         found[name] = Roles.of(where, **options)
     return found
+
+
+def check(known: Known, topics: Any = None, **_: Any) -> None:
+    """Raise InputError on roles that are none, and on names that the scenario does not have."""
+    for roles in _roles(topics).values():
+        roles.check(known)
 
 
 def read(

@@ -49,7 +49,7 @@ from relnav_graph.io.known import Known
 from relnav_graph.io.lines import file_of, rising
 from relnav_graph.io.mapping import Target, targets_of
 
-__all__ = ["FILES", "read"]
+__all__ = ["FILES", "check", "read"]
 
 FILES = True
 _PATTERNS = ("*.npz", "*.mat", "*.csv", "*.tsv", "*.txt")
@@ -69,6 +69,21 @@ def _files(
             read[own] = read_columns(own, *form)
         found.append(read[own])
     return found
+
+
+def check(
+    known: Known,
+    time: Any = None,
+    sensors: Any = None,
+    inputs: Any = None,
+    truth: Any = None,
+    **_: Any,
+) -> None:
+    """Raise InputError on names that the scenario does not have, on units and on clocks."""
+    given = {"sensors": sensors, "inputs": inputs, "truth": truth}
+    named = {"sensors": known.check_sensor, "inputs": known.check_input, "truth": known.check_truth}
+    for target in targets_of(given, time, known):
+        named[target.role](target.where, target.name)
 
 
 def read(

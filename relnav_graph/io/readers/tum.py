@@ -13,14 +13,15 @@ from pathlib import Path
 from relnav_graph.arrays import Array
 from relnav_graph.core.track import Recording
 from relnav_graph.io.clocks import Clock
-from relnav_graph.io.declared import Roles, poses
+from relnav_graph.io.declared import Roles, check_roles, poses
 from relnav_graph.io.known import Known
 from relnav_graph.io.lines import file_of, numbers
 from relnav_graph.io.poses import Where, from_quaternions
 
-__all__ = ["FILES", "read"]
+__all__ = ["FILES", "check", "read"]
 
 FILES = True
+check = check_roles
 _COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
