@@ -9,14 +9,15 @@ import textwrap
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import click
 import numpy as np
 
 from relnav_graph import estimators
-from relnav_graph.core import models
+from relnav_graph.core import catalogue, models
 from relnav_graph.core.contracts import Derived, Dynamics, Sensor
+from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
 from relnav_graph.io import readers as read_by
 from relnav_graph.io import writers as written_by
@@ -76,6 +77,58 @@ def _describe(kind: str, cls: type) -> None:
         _section("Parameters", rows)
 
 
+def _blocks_of(cls: type, what: str) -> set[Block]:
+    """The blocks that a kind of model `what` ("advances" or "reads"), with its parameters as by
+    default or, of one of them, another of its words; none of what cannot tell without others."""
+    default: dict[str, Any] = {}
+    for field in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
+        default[field.name] = None if field.default is dataclasses.MISSING else field.default
+        if field.default_factory is not dataclasses.MISSING:
+            default[field.name] = field.default_factory()
+    hints = get_type_hints(cls) if default else {}
+    words = [{n: w} for n in default for w in get_args(hints[n]) if isinstance(w, str)]
+    found = set[Block]()
+    for other in ({}, *words):
+        one: Any = object.__new__(cls)
+        for name, value in (default | other).items():
+            object.__setattr__(one, name, value)
+        try:
+            found |= {*getattr(one, what, ())}
+        except Exception:  # it has not all that it needs, and may be a stranger's code
+            continue
+    return found
+
+
+def _states(found: Mapping[str, type]) -> dict[str, dict[Block, dict[str, list[str]]]]:
+    """States by name: the blocks of that name, in one frame or another, each with the kinds of
+    models, of those found, that advance and read it."""
+    states: dict[str, dict[Block, dict[str, list[str]]]] = {}
+    for block in vars(catalogue).values():
+        for one in block if isinstance(block, tuple) else (block,):
+            if isinstance(one, Block):
+                states.setdefault(one.name, {})[one] = {"advances": [], "reads": []}
+    for kind, cls in found.items():
+        for what in ("advances", "reads"):
+            for block in sorted(_blocks_of(cls, what), key=str):
+                known = states.setdefault(block.name, {})
+                known.setdefault(block, {"advances": [], "reads": []})[what].append(kind)
+    return states
+
+
+def _describe_state(name: str, blocks: Mapping[Block, Mapping[str, list[str]]]) -> None:
+    """What a state is, and which models advance and read it."""
+    click.echo(f"{name}, a state\n")
+    for block, by in blocks.items():
+        numbers = "an attitude (SO3), 3 axes" if block.manifold == "SO3" else f"{block.dim} numbers"
+        numbers = "1 number" if numbers == "1 numbers" else numbers
+        unit = "without a unit" if block.unit == "1" else f"in {block.unit}"
+        axes = f", frame {block.frame}" if block.frame != "-" else ""
+        rows = {"advanced by": ", ".join(by["advances"]) or "none by default: a constant then"}
+        rows["read by"] = ", ".join(by["reads"]) or "none by default"
+        _section(f"{block.symbol}: {numbers}, {unit}{axes}", rows)
+    click.echo("Parameters of a model may add to these: relnav list KIND says which it has.")
+
+
 #: What reads and what writes: modules by name, the function of each, and the options of one.
 _FORMATS = {
     "Reader": (read_by.readers, "read", read_by.options_of),
@@ -125,19 +178,24 @@ def _describe_keys() -> None:
 
 
 @click.command("list")
-@click.argument("what", metavar="[FOLDER|KIND|FORMAT|scenario]", required=False)
+@click.argument("what", metavar="[FOLDER|KIND|STATE|FORMAT|scenario]", required=False)
 def command(what: str | None) -> None:
     """List models, estimators, truths, readers, writers, and the scenarios in FOLDER.
 
     Without one, the scenarios that come with the package, which every command finds by name. Of a
-    KIND of model, truth, instrument or estimator: what it is, and its parameters. Of a FORMAT that
-    is read or written: how, and its options. Of the word scenario: the keys of a scenario file.
+    KIND of model, truth, instrument or estimator: what it is, and its parameters. Of a STATE, such
+    as gyro_bias: its unit and axes, and which models advance and read it. Of a FORMAT that is read
+    or written: how, and its options. Of the word scenario: the keys of a scenario file.
     """
     folder = None if what is None else Path(what)
     found = classes(models.ENTRY_POINTS)
     every = {**found, **classes(estimators.GROUP), **classes(TRUTHS)}
-    if what in every:
-        _describe(what, every[what])
+    states = {} if what is None else _states(found)
+    if what in every or what in states:
+        if what in every:
+            _describe(what, every[what])
+        if what in states:
+            _describe_state(what, states[what])
         return
     formats = [name for found, *_ in _FORMATS.values() for name in found()]
     if what == "scenario":
@@ -147,10 +205,9 @@ def command(what: str | None) -> None:
         _describe_format(what)
         return
     if folder is not None and not folder.is_dir():
-        near = get_close_matches(str(what), [*every, *formats, "scenario"], 1)
-        raise InputError(
-            f"{folder}: no such folder, kind or format{f'; is it {near[0]}?' if near else ''}"
-        )
+        near = get_close_matches(str(what), [*every, *states, *formats, "scenario"], 1)
+        hint = f"; is it {near[0]}?" if near else ""
+        raise InputError(f"{folder}: no such folder, kind, state or format{hint}")
     for title, contract in (
         ("Sensors", Sensor),
         ("Dynamics", Dynamics),
