@@ -132,10 +132,11 @@ def look_beside(folder: Path, kinds: Iterable[str]) -> None:
             _LOG.warning(f"{kind}: {other} is taken, not {here}: rename one of them")
 
 
-def find_class(group: str, kind: str) -> type[Any]:
+def find_class(group: str, kind: str, *contracts: type[Any]) -> type[Any]:
     """The class of a kind, or the one named directly as ``"module:Class"``.
 
-    Raises ModelError, with the nearest and all known kinds, when there is none.
+    Raises ModelError, with the nearest and all known kinds, when there is none; contracts: those
+    named are only the kinds that provide one of these, if any are given.
     """
     if ":" in kind:
         module, _, name = kind.partition(":")
@@ -149,9 +150,11 @@ def find_class(group: str, kind: str) -> type[Any]:
         return cls
     known = classes(group)
     if kind not in known:
-        close = difflib.get_close_matches(kind, known, 1)
+        fit = (k for k, c in known.items() if any(provides(c, one) for one in contracts))
+        own = list(fit if contracts else known)
+        close = difflib.get_close_matches(kind, own, 1)
         hint = f" (is {close[0]!r} meant?)" if close else ""
-        raise ModelError(f"found kind {kind!r}{hint}, expected one of: {', '.join(known)}")
+        raise ModelError(f"found kind {kind!r}{hint}, expected one of: {', '.join(own)}")
     return known[kind]
 
 

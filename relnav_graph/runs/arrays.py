@@ -143,7 +143,7 @@ def _models(
                     except ValidationError as error:
                         problems += from_pydantic(path, error)
                 listed = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()}
-                model = make_kind(models.ENTRY_POINTS, path, listed, problems)
+                model = make_kind(models.ENTRY_POINTS, path, listed, problems, contract)
                 if model is None:
                     continue
             if not isinstance(model, contract):

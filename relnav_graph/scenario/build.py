@@ -245,8 +245,8 @@ def make_scenario(
                     problems += from_pydantic(path, error)
             for each, one in several.items():
                 before = len(problems)
-                model = make_kind(models.ENTRY_POINTS, path, one, problems)
                 contract = Dynamics if section == "processes" else Sensor
+                model = make_kind(models.ENTRY_POINTS, path, one, problems, contract)
                 if model is not None and not isinstance(model, contract):
                     problems.append((f"{path}.kind", f"{own['kind']!r} is not one of {section}"))
                     model = None
@@ -327,7 +327,7 @@ def _make_truth(
     if isinstance(own, Mapping) and not own.keys() <= BESIDE_TRUTH:
         model = {k: v for k, v in own.items() if k not in BESIDE_TRUTH}
         own = clock.given_to(TRUTHS, shared_orbit(TRUTHS, model, orbit))
-        truth = make_kind(TRUTHS, "truth", own, problems)
+        truth = make_kind(TRUTHS, "truth", own, problems, SimulatedTruth, DrivenTruth)
         if clock.lacks(truth):
             problems.append(("truth", NEEDED))
         if truth is not None and not isinstance(truth, SimulatedTruth | DrivenTruth):
@@ -336,7 +336,8 @@ def _make_truth(
     tables = raw.get("inputs")
     for key, table in tables.items() if isinstance(tables, Mapping) else ():
         if isinstance(table, Mapping):
-            inputs[key] = made = make_kind(TRUTHS, f"inputs.{key}", table, problems)
+            kinds = Instrument, KnownInput, PlannedInput
+            inputs[key] = made = make_kind(TRUTHS, f"inputs.{key}", table, problems, *kinds)
             if made is not None and not isinstance(made, Instrument | KnownInput | PlannedInput):
                 found = f"found {table['kind']!r}, expected an instrument"
                 problems.append((f"inputs.{key}.kind", found))
@@ -349,7 +350,7 @@ def _make_control(
     if not isinstance(raw.get("control"), Mapping):
         return None
     own = shared_orbit(TRUTHS, raw["control"], orbit)
-    control = make_kind(TRUTHS, "control", own, problems)
+    control = make_kind(TRUTHS, "control", own, problems, Controller)
     if control is not None and not isinstance(control, Controller):
         problems.append(("control.kind", f"found {own['kind']!r}, expected a controller"))
         return None

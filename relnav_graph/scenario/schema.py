@@ -157,15 +157,22 @@ def _make(path: str, cls: type[Any], table: Mapping[str, Any], problems: Problem
     return None
 
 
-def make_kind(group: str, path: str, table: Mapping[str, Any], problems: Problems) -> Any:
+def make_kind(
+    group: str,
+    path: str,
+    table: Mapping[str, Any],
+    problems: Problems,
+    *contracts: type[Any],
+) -> Any:
     """An instance of the class that a table names by `kind`, found in an entry-point group; None
-    when there is none, or the table does not fit it: `problems` then says why."""
+    when there is none, or the table does not fit it: `problems` then says why. contracts: what it
+    may provide; kinds that do are named where there is none of that name."""
     kind = table.get("kind")
     if not isinstance(kind, str):
         problems.append((f"{path}.kind", f"found {kind!r}, expected the name of a kind"))
         return None
     try:
-        cls = find_class(group, kind)
+        cls = find_class(group, kind, *contracts)
     except ModelError as error:
         problems.append((f"{path}.kind", str(error)))
         return None

@@ -124,3 +124,28 @@ def test_a_kind_that_is_nearly_one_is_asked_for() -> None:
     assert path == "processes.turn.kind"
     asked = "found kind 'gyro_bais' (is 'gyro_bias' meant?), expected one of: accelerometer_bias, "
     assert message.startswith(asked)
+
+
+@pytest.mark.parametrize(
+    ("section", "near", "there", "others"),
+    [
+        ("processes.turn", "gyro_bais", "euler_rotation", "star_tracker"),
+        ("sensors.board", "pose_mesurement", "star_tracker", "gyro_bias"),
+        ("truth", "rigid_body_pai", "tumbling_body", "rendezvous"),
+        ("inputs.gyro", "strapdown_gyr", "rate_integrating_gyro", "tumbling_body"),
+        ("control", "rendezvou", "attitude_tracking", "tumbling_body"),
+    ],
+)
+def test_only_kinds_of_its_section_are_listed(
+    section: str, near: str, there: str, others: str
+) -> None:
+    raw = tomllib.loads(MINE)
+    table = raw
+    for key in section.split("."):
+        table = table.setdefault(key, {})
+    table["kind"] = near
+    (message,) = [m for path, m in _problems(raw) if path == f"{section}.kind"]
+    assert f"found kind '{near}' (is '{near[:5]}" in message
+    assert there in message
+    assert others not in message
+    assert "relative_attitude" not in message  # which is derived
