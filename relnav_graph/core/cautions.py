@@ -22,6 +22,7 @@ from relnav_graph.core.contracts import (
     Sensor,
 )
 from relnav_graph.core.epochs import unit_hint
+from relnav_graph.core.measurement import LATEST
 from relnav_graph.core.state import Layout
 from relnav_graph.units import quantities
 
@@ -30,6 +31,7 @@ __all__ = [
     "angle_cautions",
     "gap_cautions",
     "interval_cautions",
+    "late_cautions",
     "orbit_cautions",
     "untold_cautions",
 ]
@@ -127,6 +129,18 @@ def interval_cautions(times: Array) -> tuple[Caution, ...]:
     hint = unit_hint(typical) if typical >= LONG else near
     text = f"the epochs are {typical:.6g} s apart (median){hint}"
     return (Caution("intervals", text),)
+
+
+def late_cautions(t: float) -> tuple[Caution, ...]:
+    """Of a pass that begins at a time t, s, that a float64 does not hold to a nanosecond."""
+    if abs(t) <= LATEST:
+        return ()
+    text = (
+        f"the pass begins at t = {t:.12g} s, where float64 has steps of {np.spacing(abs(t)):.2g} s:"
+        " stamps in whole nanoseconds lose nothing (arrays, datetime64), nor do those from which"
+        " an origin was taken ([time] origin of files and streams)"
+    )
+    return (Caution("late stamps", text),)
 
 
 def untold_cautions(

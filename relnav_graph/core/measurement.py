@@ -13,7 +13,9 @@ from relnav_graph.arrays import Array, Indices
 from relnav_graph.errors import InputError
 
 __all__ = [
+    "LATEST",
     "QUATERNION",
+    "SAME_TIME",
     "Bridge",
     "InputSeries",
     "Measurement",
@@ -83,6 +85,8 @@ class Measurement:
 
 #: Times closer than this are the same, s: above the rounding of stamps of 1e9 s.
 SAME_TIME = 1e-6
+#: Later times than that, s, lose nanoseconds as float64.
+LATEST = 2.0**53 / 1e9
 
 
 def edge_tolerance(t0: float, t1: float) -> float:

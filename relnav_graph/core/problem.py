@@ -20,6 +20,7 @@ from relnav_graph.core.cautions import (
     angle_cautions,
     gap_cautions,
     interval_cautions,
+    late_cautions,
     orbit_cautions,
     untold_cautions,
 )
@@ -258,7 +259,8 @@ class Problem(Shown):
         statics = [block.name for block in self.layout.statics if block not in points]
         untold = untold_cautions(statics, self.processes.values(), measured)
         gaps = gap_cautions(self.bridged)
-        return start + interval_cautions(self.times) + gaps + untold + self._inputs
+        clock = late_cautions(self.epochs[0].t) + interval_cautions(self.times)
+        return start + clock + gaps + untold + self._inputs
 
     @cached_property
     def _inputs(self) -> tuple[Caution, ...]:

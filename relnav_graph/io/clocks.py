@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relnav_graph.arrays import Array
+from relnav_graph.core.measurement import LATEST
 from relnav_graph.errors import InputError
 from relnav_graph.maths.instants import Instant, leap_seconds
 
@@ -42,8 +43,6 @@ _UTC_BEGAN = 63072000
 _LIKELY = 946_684_800
 #: Stamps of an absolute clock beyond that, s, about 2200, are no seconds.
 _LAST = 7_258_118_400
-#: Later stamps than that, s, of a clock of its own lose nanoseconds as float64.
-_LATEST = 2.0**53 / NANO
 
 
 def decimal(where: str, text: str) -> Decimal:
@@ -115,7 +114,7 @@ class Clock:
             )
         if self.name != "none":
             return earliest.to_integral_value("ROUND_FLOOR")
-        if abs(earliest) > _LATEST:
+        if abs(earliest) > LATEST:
             raise InputError(
                 f"{where}: found the stamp {earliest} s, which a float64 does not hold to a"
                 " nanosecond; expected data.options.clock, the clock that it is of"

@@ -77,8 +77,9 @@ def problem_from_arrays(
 
     Stamps are seconds as floats, whole nanoseconds, or datetime64. Of the latter two `origin`, by
     default the earliest stamp, is subtracted in whole numbers; the pass then counts seconds from
-    there. times: of the epochs, by default those of the measurements. gaps: by input, see
-    `relnav_graph.scenario.gaps`; window, s, merge, s, considered: see `Problem`.
+    there. Floats stay, less an `origin`; in Unix time they are a caution. times: of the epochs, by
+    default those of the measurements. gaps: by input, see `relnav_graph.scenario.gaps`; window, s,
+    merge, s, considered: see `Problem`.
 
     Raises ScenarioError with all that is wrong with models and prior, by its path, InputError on
     arrays that do not fit.

@@ -285,6 +285,22 @@ def test_whole_milliseconds_taken_for_nanoseconds_are_a_caution() -> None:
         assert "taken for ns?" in noun._repr_html_()
 
 
+def test_floats_of_unix_time_are_a_caution() -> None:
+    """They have lost what is below 240 ns; an origin, or whole nanoseconds, and nothing is said."""
+    z = np.zeros((9, 3))
+    models: dict[str, Any] = {
+        "processes": {"free": {"kind": "white_noise_acceleration", "acceleration_density": 1e-3}},
+        "sensors": {"fix": {"kind": "position_fix", "sigma": 0.1}},
+        "prior": {"relative_position": (z[0], 1.0), "relative_velocity": (z[0], 1.0)},
+    }
+    late, whole = 1.75e9 + np.arange(9.0), 1_750_000_000_000_000_000 + 10**9 * np.arange(9)
+    for t, origin, doubted in ((late, None, 1), (late, 1.75e9, 0), (whole, None, 0)):
+        made = rg.Problem.from_arrays(**models, measurements={"fix": (t, z)}, origin=origin)
+        said = [c.text for c in made.cautions if c.name == "late stamps"]
+        assert len(said) == doubted
+        assert all("t = 1750000000 s, where float64 has steps of 2.4e-07 s" in s for s in said)
+
+
 def test_a_row_may_bring_its_own_covariance() -> None:
     """Counted in place of the sensor's noise, whatever the order of the rows."""
     t, z = np.array([1.0, 0.0]), np.array([[2.0, 0, 0], [0.0, 0, 0]])
