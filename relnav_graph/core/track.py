@@ -344,6 +344,19 @@ class Recording(Shown):
             self, times=self.times + by, measurements=measurements, inputs=inputs, truth=truth
         )
 
+    def between(self, begin: float, end: float) -> Recording:
+        """What is from `begin` until before `end`, s, at the times that it has. Inputs stay whole:
+        what is beside the epochs is of no interval."""
+        truth = self.truth
+        if truth is not None:
+            rows, n = (truth.t >= begin) & (truth.t < end), len(truth.t)
+            values = {name: value[rows] for name, value in truth.values.items()}
+            sigmas = {k: s[rows] if len(s) == n else s for k, s in truth.sigmas.items()}
+            truth = replace(truth, t=truth.t[rows], values=values, sigmas=sigmas)
+        seen = tuple(m for m in self.measurements if begin <= m.t < end)
+        times = self.times[(self.times >= begin) & (self.times < end)]
+        return replace(self, times=times, measurements=seen, truth=truth)
+
     def with_lags(self, stamps: Mapping[str, Stamps]) -> Recording:
         """The same with all stamps so late; its epochs are those without lags. stamps: of inputs
         and sensors, by name."""

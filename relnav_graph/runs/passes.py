@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -112,10 +113,11 @@ def open_dataset(folder: Path, assignments: Sequence[str] = (), trust: bool = Fa
     if _as_it_came(raw, folder):
         recording = _read_folder(name, raw, folder, made)
         scenario = made(recording.settings)
-        seed = scenario.file.seed
+        recording, seed = _window(scenario, recording), scenario.file.seed
         return Pass(scenario, scenario.completed(recording, seed), seed, False)
     scenario = made(read_settings_of(folder, raw))
-    return Pass(scenario, _recorded(scenario, folder), scenario.file.seed, False)
+    recording = _window(scenario, _recorded(scenario, folder))
+    return Pass(scenario, recording, scenario.file.seed, False)
 
 
 def open_pass(
@@ -157,15 +159,32 @@ def recorded_pass(
     """
     where, raw, made = _tables_of(scenario, assignments)
     if isinstance(data, Recording):
-        return made(data.settings), data
+        own = made(data.settings)
+        return own, _window(own, data)
     folder = Path(data)
     if not folder.exists():
         raise InputError(f"{folder}: no such folder")
     if not _is_raw(raw, folder):
         own = made(read_settings_of(folder, raw))
-        return own, _recorded(own, folder)
+        return own, _window(own, _recorded(own, folder))
     recording = _read_folder(where, raw, folder, made)
-    return made(recording.settings), recording
+    own = made(recording.settings)
+    return own, _window(own, recording)
+
+
+def _window(scenario: Scenario, recording: Recording) -> Recording:
+    """The part of a recording that [data] begin and end leave. Raises InputError where that is
+    nothing."""
+    data = scenario.file.data
+    if data is None or (data.begin is None and data.end is None):
+        return recording
+    begin = -math.inf if data.begin is None else data.begin
+    part = recording.between(begin, math.inf if data.end is None else data.end)
+    if len(recording.times) and not len(part.times):
+        first, last = recording.times[[0, -1]].tolist()
+        window = f"data: found no epoch from begin = {data.begin} until before end = {data.end} s"
+        raise InputError(f"{window}, expected some: those of the data are from {first} to {last} s")
+    return part
 
 
 def _tables_of(

@@ -50,9 +50,10 @@ class PartSettings(BaseModel):
 class DataSettings(BaseModel):
     """Where recorded data come from: a reader of `relnav_graph.io.readers`, or several, `parts` by
     name, whose recordings become one (`relnav_graph.io.parts`); `simulate`: the sensors that raw
-    data lack, simulated on their truth. Of a data set: `sort` puts rows in order of time; between
-    rows of truth that are further apart than `truth_gap` (by default 1.5 times the median step)
-    nothing is interpolated."""
+    data lack, simulated on their truth. `begin`, `end`: of recorded data only what is from begin
+    until before end, s of the pass's clock; times stay as they are. Of a data set: `sort` puts rows
+    in order of time; between rows of truth that are further apart than `truth_gap` (by default 1.5
+    times the median step) nothing is interpolated."""
 
     model_config = STRICT
 
@@ -60,15 +61,20 @@ class DataSettings(BaseModel):
     options: dict[str, Any] = {}
     parts: dict[str, PartSettings] = {}
     simulate: list[str] = []
+    begin: Annotated[float, Quantity("s")] | None = None
+    end: Annotated[float, Quantity("s")] | None = None
     sort: bool = False
     truth_gap: Seconds | None = None
 
     @model_validator(mode="after")
     def _one_or_several(self) -> DataSettings:
-        told = bool(self.reader) + bool(self.parts) + (self.sort or self.truth_gap is not None)
+        alone = self.sort, self.truth_gap, self.begin, self.end  # of a data set
+        told = self.reader or self.parts or any(x is not None and x is not False for x in alone)
         if not told or (self.reader and self.parts) or (self.parts and self.options):
             both = "both" if self.reader else "options beside parts" if self.parts else "neither"
             raise ValueError(f"found {both}, expected a reader with its options, or parts")
+        if self.begin is not None and self.end is not None and not self.begin < self.end:
+            raise ValueError(f"found begin at {self.begin} s and end at {self.end} s")
         return self
 
 

@@ -62,7 +62,10 @@ class TimeSettings(BaseModel):
     @model_validator(mode="after")
     def _reasonable(self) -> TimeSettings:
         if (self.step is None) != (self.epochs is None):
-            raise ValueError("found one of step and epochs, expected both or neither")
+            raise ValueError(
+                "found one of step and epochs, expected both, or neither for recorded data, which"
+                " have their own (data.end cuts them short)"
+            )
         if self.step is not None and self.step > LONGEST:
             hint = unit_hint(self.step).replace("stamps", "numbers")
             raise ValueError(f"found step {self.step:g} s, expected at most {LONGEST:g} s{hint}")

@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from passes import relnav
+from passes import ZHANG, relnav
 
 from relnav_graph.arrays import Array
+from relnav_graph.errors import InputError
+from relnav_graph.estimators import run_estimator
+from relnav_graph.io.dataset import write_dataset
 from relnav_graph.io.results import read_results
+from relnav_graph.runs.passes import open_dataset, open_pass
 
 T: Array = np.arange(20.0)
 TRUE = np.column_stack([20 + 0.5 * T, -3 + 0 * T, 0.25 * T])
@@ -146,3 +150,45 @@ def test_truth_that_scores_nothing_is_named_before_there_are_files(
     assert relnav(capsys, "validate", path)[0] == 0
     assert "has no 'relative_positon' (is 'relative_position' meant?)" in caplog.text
     assert "'relative_velocity'" not in caplog.text
+
+
+def test_a_recorded_pass_is_cut(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Raw data alike: what is from begin until before end, at the times that it has."""
+    rows = np.column_stack([100 + T, SEEN / 1e3])
+    head = "stamp,north,east,down"
+    np.savetxt(tmp_path / "log.csv", rows, "%.17g", ",", header=head, comments="")
+    data = {"data": {"reader": "table", "options": MAPPING}}
+    (tmp_path / "scenario.toml").write_text(tomli_w.dumps(SCENARIO | data))
+    part = open_dataset(tmp_path, ("data.begin=105 s", "data.end=110")).recording
+    assert part.times.tolist() == [105, 106, 107, 108, 109]
+    assert [m.t for m in part.measurements] == part.times.tolist()
+    with pytest.raises(InputError, match=r"data: found no epoch .* are from 100.0 to 119.0 s"):
+        open_dataset(tmp_path, ("data.begin=120",))
+    for setting, says in (
+        ("data.end=100 m", "data.end: found unit 'm', expected one like 's'"),
+        ("data={reader='table', begin=3, end=2}", "data: found begin at 3.0 s and end at 2.0 s"),
+        ("time.epochs=5", "recorded data, which have their own (data.end cuts them short)"),
+    ):
+        code, _, said = relnav(capsys, "smooth", tmp_path, "-o", tmp_path / "o", "--set", setting)
+        assert code == 2
+        assert says in said
+
+
+def test_a_data_set_is_cut_with_its_truth_and_inputs(tmp_path: Path) -> None:
+    """A filter of the first part says what it says of the whole; NEES has the truth of that."""
+    whole = open_pass(ZHANG, 1, None, ("time.epochs=40",))
+    s, blocks = whole.scenario, {b.name: b for b in whole.scenario.layout}
+    columns = s.input_columns
+    write_dataset(tmp_path, s.raw, whole.recording, s.sensors, columns, blocks, "csv", 0.0)
+    full, cut = open_dataset(tmp_path), open_dataset(tmp_path, ("data.end=105",))
+    long, short = (run_estimator("ekf", one.problem) for one in (full, cut))
+    assert short.t.tolist() == [t for t in long.t.tolist() if t < 105]
+    assert 2 < len(short.t) < 40
+    np.testing.assert_array_equal(short.x, long.x[: len(short.t)])
+    truth = cut.recording.truth
+    assert truth is not None
+    assert truth.t.tolist() == short.t.tolist()
+    assert {len(v) for v in truth.values.values()} == {len(short.t)}
+    late = open_dataset(tmp_path, ("data.begin=105",))
+    assert late.problem.times[0] == long.t[len(short.t)]
+    assert cut.scenario.layout == full.scenario.layout
