@@ -224,7 +224,7 @@ def test_validate_finds_a_damaged_data_set(capsys: Capture, dataset: Path, tmp_p
 
 def test_list_refuses_what_is_no_folder(capsys: Capture) -> None:
     code, _, err = _run(capsys, "list", "euler_rotatoin")
-    says = "no such folder, kind or format; is it euler_rotation?"
+    says = "no such folder, kind, state or format; is it euler_rotation?"
     assert (code, err) == (2, f"error: euler_rotatoin: {says}\n")
 
 
