@@ -138,7 +138,8 @@ def consistency_figure(
         return None
     with mpl.rc_context(STYLE):
         title = "Consistency: mean squares per freedom and per residual row"
-        figure, axes = panels(count, look, _handles(rows, styles), title)
+        drawn = {n: t for n, t in rows.items() if n in errors_of or sensors_of({n: t})}
+        figure, axes = panels(count, look, _handles(drawn, styles), title)
         if errors_of:
             for name, (t, value, freedoms) in errors_of.items():
                 axes[0].plot(t, value / np.maximum(freedoms, 1), **styles[name])

@@ -187,6 +187,11 @@ def test_nees_and_nis_stand_in_strips_with_their_bands() -> None:
         inside = np.asarray(ax.collections[-1].get_paths()[0].vertices, dtype=np.float64)[:, 1]
         band = np.array([inside.min(), inside.max()])
         np.testing.assert_allclose(band, np.array(chi2_band(freedoms)))
+    only = consistency_figure([heard, batch], None, [])
+    assert only is not None
+    (legend,) = only.legends
+    said = [text.get_text() for text in legend.get_texts()]
+    assert said == ["ekf (filtered)", "95 % band"]  # and no row of which nothing is drawn
     assert residual_figure([ekf]) is None
     (ax,) = residual_figure([heard]).axes  # type: ignore[union-attr]
     assert np.asarray(ax.lines[0].get_xdata()).size == 2 * N
