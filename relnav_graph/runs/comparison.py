@@ -17,6 +17,7 @@ from relnav_graph.runs.passes import Pass, open_pass
 from relnav_graph.runs.warm_up import warm_up
 from relnav_graph.scenario.scenario import Scenario
 from relnav_graph.scoring.metrics import summary
+from relnav_graph.scoring.noise_verdict import beside_truth
 from relnav_graph.scoring.residuals import judge_by_residuals
 from relnav_graph.scoring.text import caution_lines
 
@@ -126,6 +127,8 @@ def compare_pass(
         opened.scenario.scored,
         noise,
     )
+    if noise:
+        found["noise"] = beside_truth(noise, found["estimators"])
     problems, truths = tuple(o.problem for o, _ in each), tuple(o.truth for o, _ in each)
     return Comparison(tracks, problems, truths, found)
 

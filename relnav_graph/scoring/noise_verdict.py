@@ -15,7 +15,15 @@ from relnav_graph.core.track import Track
 from relnav_graph.scoring.estimated import sensor_rows
 from relnav_graph.scoring.variance_components import PRIOR, NoiseResiduals, estimate_factors
 
-__all__ = ["NOTABLE", "cause_text", "noise_factors", "noise_owners", "noise_said", "noise_verdict"]
+__all__ = [
+    "NOTABLE",
+    "beside_truth",
+    "cause_text",
+    "noise_factors",
+    "noise_owners",
+    "noise_said",
+    "noise_verdict",
+]
 
 #: A noise is named as a likely cause where its variance factor is this many of its sigmas
 #: from 1, and its sigma is wrong by more than this factor, up or down.
@@ -165,3 +173,25 @@ def noise_verdict(
         "causes": [n["noise"] for n in causes],
         "text": text,
     }
+
+
+def beside_truth(
+    noise: Mapping[str, Any], estimators: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The verdict of one pass with what the truth says of it, where it is known. estimators: the
+    rows of a summary.
+
+    Residuals show the white part of a noise alone. Who has errors that last, as those of a map or a
+    lens, declares more, and is right.
+    """
+    row = estimators.get(str(noise.get("residuals_of")), {})
+    anees, band = row.get("anees"), row.get("anees_band")
+    larger = any(n["named"] and n["factor"] < 1 for n in noise.get("noises", ()))
+    if not larger or anees is None or band is None or not band[0] <= anees <= band[1]:
+        return dict(noise)
+    text = (
+        f"Against the truth {noise['residuals_of']} is as sure as it may be (ANEES {anees:.2f}): a"
+        " noise that is declared larger may stand for errors that last, which its residuals do not"
+        " show."
+    )
+    return {**noise, "text": [*noise["text"], text]}
