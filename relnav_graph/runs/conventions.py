@@ -29,6 +29,9 @@ _WRONG = 5.0
 _BAND, _TELLING = 1.96, 40.0
 #: Of two whose sums of squares are less apart than that none is better.
 _ALIKE = 10.0
+#: What is measured shrinks in another unit, and its misfit with it, to below this where the noise
+#: is larger than declared, and no unit wrong.
+_SHRUNK = 0.1
 #: So many epochs are looked at, of a state of 30; of larger ones fewer, but for the second number.
 _EPOCHS, _FEWEST = 600, 200
 
@@ -67,10 +70,11 @@ class _Fit:
     def doubtful(self) -> bool:
         return self.worst > _WRONG or self.sigmas > _BAND
 
-    def mended_by(self, other: _Fit, better: float) -> bool:
+    def mended_by(self, other: _Fit, reading: Reading) -> bool:
         """Whether another fit is so much better that there must be a reason."""
         if self.worst > _WRONG:
-            return other.worst < min(self.worst / better, _WRONG)
+            least = _SHRUNK if reading.shrinks else 0.0
+            return least <= other.worst < min(self.worst / reading.better, _WRONG)
         less = (self.nis - self.rows) - (other.nis - other.rows)
         return less > _TELLING and abs(other.sigmas) < _BAND < self.sigmas
 
@@ -99,7 +103,8 @@ def pass_cautions(problem: Problem, tracks: Sequence[Track]) -> tuple[Caution, .
 
 def _other_readings(problem: Problem) -> tuple[Caution, ...]:
     count = max(_FEWEST, int(_EPOCHS * min(1.0, (30 / problem.layout.dim) ** 2)))
-    problem = replace(problem, epochs=problem.epochs[:count])
+    # A filter that is lost, and has rejected nearly all, fits what is left: so there are no gates.
+    problem = replace(problem, epochs=problem.epochs[:count], gates={})
     as_read = _fit(problem)
     if not as_read.doubtful:
         return ()
@@ -107,7 +112,7 @@ def _other_readings(problem: Problem) -> tuple[Caution, ...]:
     slight = [one for one in (*first, *second) if one.slight]
     for tried in (first, second) if as_read.worst > _WRONG else (slight,):
         fits = [(one, _fit(problem, one)) for one in tried]
-        mended = [(one, fit) for one, fit in fits if as_read.mended_by(fit, one.better)]
+        mended = [(one, fit) for one, fit in fits if as_read.mended_by(fit, one)]
         if mended:
             least = min(fit.nis for _, fit in mended)
             # The simplest, which come first, of those that fit as well.

@@ -43,7 +43,8 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 class Reading:
     """Another way to read a sensor or an input: its name, what it would be in words, and what that
     makes of a measurement, or of samples (k, channels); better: how many times smaller the misfit
-    must then be; slight: a pass may fit nearly as well without it."""
+    must then be; slight: a pass may fit nearly as well without it; shrinks: residuals are smaller
+    in it, of noise too."""
 
     name: str
     what: str
@@ -51,6 +52,7 @@ class Reading:
     sampled: Callable[[Array], Array] | None = None
     better: float = BETTER
     slight: bool = False
+    shrinks: bool = False
 
     def of(self, problem: Problem) -> Problem:
         """The problem, read so, and what was measured of the prior measured again. Raises
@@ -84,8 +86,14 @@ def readings(problem: Problem) -> Iterator[Reading]:
             yield from _poses(problem, name)
         for what, factors in _units(columns):
             # All residuals are smaller in another unit: by its square, if that is what is wrong.
-            better = max(BETTER, 0.01 / factors.min() ** 2)
-            yield Reading(name, f"{name!r} is in {what}", _multiplied(factors), better=better)
+            better = max(BETTER, 0.1 / factors.min() ** 2)
+            yield Reading(
+                name,
+                f"{name!r} is in {what}",
+                _multiplied(factors),
+                better=better,
+                shrinks=bool(factors.min() < 1),
+            )
     for name, columns in _inputs(problem).items():
         for what, factors in _units(columns):
             yield Reading(name, f"{name!r} is in {what}", None, factors.__mul__, slight=True)

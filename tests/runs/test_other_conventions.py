@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from passes import recorded
+from passes import ZHANG, recorded
 from scipy.spatial.transform import Rotation
 
 import relnav_graph as rg
@@ -72,6 +72,7 @@ def _written(
     folder: Path,
     turn: Turn = _as_they_are,
     sampled: Callable[[Array], Array] = _as_they_are,
+    scenario: str = SCENARIO,
     **options: Any,
 ) -> dict[str, Any]:
     """The summary of that pass, as tables, its rates as `sampled` has them."""
@@ -86,7 +87,7 @@ def _written(
         np.savetxt(
             folder / "data" / f"{name}.csv", table, "%.12g", ",", header=columns, comments=""
         )
-    (folder / "a.toml").write_text(SCENARIO)
+    (folder / "a.toml").write_text(scenario)
     return compare(folder / "a.toml", ["ekf", "batch"], data=folder / "data").summary
 
 
@@ -171,6 +172,41 @@ def test_noise_that_is_larger_than_declared_has_no_convention(tmp_path: Path) ->
     found = _written(tmp_path, lambda r, q: (r + rng.normal(size=r.shape), q))
     assert found["estimators"]["ekf"]["status"] != "ok"
     assert _texts(found) == []
+
+
+GATED = SCENARIO.replace("[prior]", "gate = 0.999\n[prior]")
+
+
+@pytest.mark.parametrize("size", [10, 30])
+def test_a_filter_that_its_gates_have_lost_tells_no_convention(size: int) -> None:
+    """A quarter of outliers: after a filter has rejected all else, what is left fits any gyro."""
+    outliers = f"sensors.beacons.outliers={{fraction=0.25,size={size}}}"
+    scenario = load_scenario(ZHANG, [outliers, "sensors.beacons.gate=0.999", "time.epochs=120"])
+    track = rg.run_estimator("ekf", scenario.problem(scenario.simulate(0), 0))
+    assert track.rejected["beacons"] > 0
+    assert [c for c in track.cautions if c.name == "other convention"] == []
+
+
+def test_gates_hide_no_convention(tmp_path: Path) -> None:
+    (text,) = _texts(_written(tmp_path, POSES[1][0], scenario=GATED))
+    assert f" if {POSES[1][1]}" in text
+
+
+@pytest.mark.parametrize(("noise", "unit", "told"), [(1, 1, 0), (10, 1, 0), (1, 1000, 1)])
+def test_noise_that_a_smaller_unit_shrinks_is_no_sign_of_it(
+    noise: float, unit: float, told: int
+) -> None:
+    """Places in mm are smaller by a thousand, and so is what they scatter by."""
+    rng, t = np.random.default_rng(0), np.arange(200.0)
+    r = [10, -4, 2] + np.outer(t, [-0.1, 0.03, 0]) + 0.1 * noise * rng.normal(size=(200, 3))
+    problem = rg.Problem.from_arrays(
+        processes={"move": {"kind": "white_noise_acceleration", "acceleration_density": 1e-3}},
+        sensors={"fix": {"kind": "position_fix", "sigma": 0.1}},
+        measurements={"fix": (t, unit * r)},
+        prior={"relative_position": (unit * r[0], 10 * unit), "relative_velocity": ([0, 0, 0], 1)},
+    )
+    names = [c.name for c in rg.run_estimator("ekf", problem).cautions]
+    assert names.count("other convention") == told
 
 
 @pytest.mark.parametrize("mean", ["measured", [0.96, 0.25, -0.1, 0.05]])
