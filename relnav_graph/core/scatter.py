@@ -21,7 +21,11 @@ _WHITE = "random_walk_density"
 #: So many times more than declared a scatter must be before it is doubted: true motions add to it.
 #: Less tells nothing: samples are filtered, and who knows a model to be wrong declares more.
 MORE = 5.0
-#: Fewer second differences tell too little, and more epochs are not looked at.
+#: Orders of differences, and the sum of the squares of their coefficients. Of white noise both tell
+#: the same; of a motion that is fast beside the samples the higher one tells far less, and of jumps
+#: the lower one.
+ORDERS = {2: 6, 4: 70}
+#: Fewer differences tell too little, and more epochs are not looked at.
 LEAST, LOOKED = 30, 2000
 
 
@@ -31,9 +35,9 @@ def scatter_cautions(
     """Of inputs whose samples scatter by far more than the declared density of their white
     noise: that is larger, or the input is of another unit.
 
-    processes: by name. The scatter is that of second differences of three samples of one length,
-    of which a smooth motion is no part: sigma^2 = 6 density^2 / length; its size is the median, so
-    that jumps do not count.
+    processes: by name. The scatter is that of differences of samples of one length, of which a
+    smooth motion is no part: of second ones sigma^2 = 6 density^2 / length. Its size is the median,
+    so that jumps do not count, and the least that differences of the `ORDERS` tell.
     """
     found = []
     for process, model in processes.items():
@@ -60,23 +64,26 @@ def _density(model: Dynamics, columns: Sequence[str]) -> str:
 
 
 def _seen(rows: Sequence[Array]) -> float | None:
-    """The density, SI, that rows (k, 1 + channels) of lengths, s, and means show; None: they tell
-    none."""
+    """The density, SI, that rows (k, 1 + channels) of lengths, s, and means show; None: too few."""
     u = np.concatenate(rows) if rows else np.empty((0, 1))
-    length = u[:, 0]
-    alike = np.isclose(length[1:-1], length[:-2], 1e-3) & np.isclose(length[1:-1], length[2:], 1e-3)
-    bends = (u[2:, 1:] - 2 * u[1:-1, 1:] + u[:-2, 1:]) * np.sqrt(length[1:-1, None] / 6)
-    if alike.sum() < LEAST:
-        return None
-    # 0.6745: the median of the size of a normal variable of sigma 1.
-    each = np.median(np.abs(bends[alike]), axis=0) / 0.6745
-    return float(np.sqrt(np.mean(each**2))) or None
+    found = []
+    for order, square in ORDERS.items():
+        if len(u) < order + LEAST:
+            continue
+        lengths = np.lib.stride_tricks.sliding_window_view(u[:, 0], order + 1)
+        alike = np.isclose(lengths, lengths[:, :1], 1e-3).all(axis=1)
+        if alike.sum() >= LEAST:
+            bends = np.diff(u[:, 1:], order, axis=0) * np.sqrt(lengths[:, :1] / square)
+            # 0.6745: the median of the size of a normal variable of sigma 1.
+            each = np.median(np.abs(bends[alike]), axis=0) / 0.6745
+            found.append(float(np.sqrt(np.mean(each**2))))
+    return min(found, default=None)
 
 
 def _caution(
     name: str, path: str, column: str, declared: float, seen: float | None
 ) -> list[Caution]:
-    if seen is None or seen < declared * MORE:
+    if not seen or not declared or seen < declared * MORE:
         return []
     unit = _DENSITIES[str(column_unit(column))]
     return [

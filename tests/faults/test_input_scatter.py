@@ -62,6 +62,19 @@ def test_row_6_degrees_declared_as_radians_are_told(problem: Problem) -> None:
     assert _times(one.text) == pytest.approx(180 / np.pi, rel=0.2)
 
 
+def test_row_6_a_motion_that_is_fast_beside_the_samples_is_no_noise(problem: Problem) -> None:
+    """A hundred seconds for a swing, in steps of ten: second differences alone doubt it."""
+    gyro: Any = problem.processes["chaser"]
+    size = 20 * float(np.mean(gyro.angle_random_walk_density))
+    t = 10.0 * np.arange(len(problem.epochs))
+    rates = np.outer(size * np.sin(2 * np.pi * t / 100), [1, -1, 0.5])
+    epochs = [
+        replace(e, inputs=dict(e.inputs) | {"chaser": np.r_[[10.0], w][None]})
+        for e, w in zip(problem.epochs, rates, strict=True)
+    ]
+    assert scatter_cautions(problem.processes, epochs) == ()
+
+
 def test_row_6_a_smooth_motion_and_a_few_jumps_are_no_noise(problem: Problem) -> None:
     t = np.arange(len(problem.epochs))
     rate = np.outer(0.02 * np.sin(0.05 * t), [1, -1, 2])
