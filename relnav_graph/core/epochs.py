@@ -182,11 +182,15 @@ COARSER, LONGER = 5.0, (300.0, 3000.0)
 
 def _check_stamps(times: Array, series: InputSeries) -> None:
     """Raise InputError where epochs at times (N,), s, and samples of an input look as if stamps of
-    one of them were in ms."""
+    one of them were in ms: not where an input would then be of another time, so that the epochs
+    are a part of what it tells."""
     if len(times) < 2 or not len(series.t_start):
         return
+    first, last = float(series.t_start[0]), float(series.t_end[-1])
+    if first <= times[0] and times[-1] <= last < 1000 * times[0]:
+        return
     step, apart = float(np.median(series.t_end - series.t_start)), float(np.median(np.diff(times)))
-    whole, over = float(series.t_end[-1] - series.t_start[0]), float(times[-1] - times[0])
+    whole, over = last - first, float(times[-1] - times[0])
     ms = {
         "the stamps of the input": (step / apart, whole / over),
         "those of the measurements": (apart / step, over / whole),

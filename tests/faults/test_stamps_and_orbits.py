@@ -289,3 +289,19 @@ def test_row_38_stamps_of_two_units_are_told_by_their_lengths(
             make_epochs(processes, [], {name: series}, times)
     else:
         assert len(make_epochs(processes, [], {name: series}, times)) == 40
+
+
+@pytest.mark.parametrize("begin", [0.0, 1000.0])
+def test_row_38_a_pass_may_be_a_short_part_of_a_long_input(begin: float) -> None:
+    """An hour of a gyro at 1 Hz beside some seconds of a camera at 10 Hz: in ms, it would have
+    ended before they begin; only where both begin with zero none can tell."""
+    processes = short().processes
+    (name,) = {n for p in processes.values() for n in p.inputs}
+    edges = np.arange(0.0, 3601.0)
+    series = InputSeries(name, edges[:-1], edges[1:], np.zeros((len(edges) - 1, 3)))
+    times = np.linspace(begin, begin + 8, 80)
+    if begin:
+        assert len(make_epochs(processes, [], {name: series}, times)) == 80
+    else:
+        with pytest.raises(InputError, match="If not, leave out what is not of this pass"):
+            make_epochs(processes, [], {name: series}, times)
