@@ -117,6 +117,8 @@ def _other_readings(problem: Problem) -> tuple[Caution, ...]:
             least = min(fit.nis for _, fit in mended)
             # The simplest, which come first, of those that fit as well.
             best, fit = next(pair for pair in mended if pair[1].nis < least + _ALIKE)
+            if not best.what:
+                return ()
             text = (
                 f"a filter fits with a mean square of innovations of {as_read.mean_square:.3g}, in"
                 f" their own sigmas, and of {fit.mean_square:.3g} if {best.what}: is it so?"

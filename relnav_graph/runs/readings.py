@@ -42,9 +42,11 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Another way to read a sensor or an input: its name, what it would be in words, and what that
-    makes of a measurement, or of samples (k, channels); better: how many times smaller the misfit
-    must then be; slight: a pass may fit nearly as well without it; shrinks: residuals are smaller
-    in it, of noise too."""
+    makes of a measurement, or of samples (k, channels); without words: an input that says nothing.
+
+    better: how many times smaller the misfit must then be; slight: a pass may fit nearly as well
+    without it; shrinks: residuals are smaller in it, of noise too.
+    """
 
     name: str
     what: str
@@ -95,6 +97,8 @@ def readings(problem: Problem) -> Iterator[Reading]:
                 shrinks=bool(factors.min() < 1),
             )
     for name, columns in _inputs(problem).items():
+        # What fits as well as this one has only taken away an input that is worse than declared.
+        yield Reading(name, "", None, np.zeros_like, slight=True)
         for what, factors in _units(columns):
             yield Reading(name, f"{name!r} is in {what}", None, factors.__mul__, slight=True)
         yield Reading(name, f"{name!r} has the other sign", None, np.negative, slight=True)

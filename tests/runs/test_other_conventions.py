@@ -187,6 +187,17 @@ def test_a_filter_that_its_gates_have_lost_tells_no_convention(size: int) -> Non
     assert [c for c in track.cautions if c.name == "other convention"] == []
 
 
+def test_a_gyro_that_is_worse_than_declared_is_of_no_other_unit(tmp_path: Path) -> None:
+    """Of a chaser that does not turn; in deg/s it would say nothing, which fits better, too."""
+    rng = np.random.default_rng(3)
+
+    def sampled(w: Array) -> Array:
+        return np.asarray(w + np.deg2rad(0.15) * rng.normal(size=w.shape))
+
+    found = _written(tmp_path, sampled=sampled, count=900, size=0.0)
+    assert _texts(found) == []
+
+
 def test_gates_hide_no_convention(tmp_path: Path) -> None:
     (text,) = _texts(_written(tmp_path, POSES[1][0], scenario=GATED))
     assert f" if {POSES[1][1]}" in text
