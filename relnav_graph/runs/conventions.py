@@ -119,9 +119,10 @@ def _other_readings(problem: Problem) -> tuple[Caution, ...]:
             best, fit = next(pair for pair in mended if pair[1].nis < least + _ALIKE)
             if not best.what:
                 return ()
+            before = "lost" if np.isinf(as_read.nis) else f"{as_read.mean_square:.3g}"
             text = (
-                f"a filter fits with a mean square of innovations of {as_read.mean_square:.3g}, in"
-                f" their own sigmas, and of {fit.mean_square:.3g} if {best.what}: is it so?"
+                "the mean square of a filter's innovations, in their own sigmas, is"
+                f" {before} as read, and {fit.mean_square:.3g} if {best.what}: is it so?"
             )
             return (Caution("other convention", text),)
     return ()

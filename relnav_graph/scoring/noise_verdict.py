@@ -103,7 +103,8 @@ def _but(tested: Sequence[Mapping[str, Any]]) -> str:
         if noise_said(n) == "in doubt"
         for low, high in (n["factor_ci"],)
     ]
-    return f", but for {', '.join(doubted)}, which is in doubt" if doubted else ""
+    are = "are" if len(doubted) > 1 else "is"
+    return f", but for {', '.join(doubted)}, which {are} in doubt" if doubted else ""
 
 
 def _off(one: Mapping[str, Any], key: str, band: str, middle: float, form: str) -> str:

@@ -140,7 +140,7 @@ def test_nothing_is_said_of_what_fits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("turn", "says"), POSES)
 def test_the_convention_of_poses_that_fits_is_named(tmp_path: Path, turn: Turn, says: str) -> None:
     (text,) = _texts(_written(tmp_path, turn))
-    assert text.startswith("a filter fits with a mean square of innovations of ")
+    assert text.startswith("the mean square of a filter's innovations, in their own sigmas, is ")
     assert says in text
     assert f" if {says}" in text or not says.startswith(("'", QUATERNIONS))
 
