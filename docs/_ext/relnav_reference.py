@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from relnav_graph.io import readers, writers
-from relnav_graph.registry import classes, documented
+from relnav_graph.registry import classes
+from relnav_graph.runs.described import FORMATS, MUST
 from relnav_graph.scenario.keys import tables
 from relnav_graph.units import Quantity, quantities
 
@@ -133,7 +133,7 @@ def _default(field: dataclasses.Field[Any]) -> str:
     if field.default_factory is not dataclasses.MISSING:
         made = field.default_factory()
         return f"``{getattr(made, 'tolist', lambda: made)()!r}``"
-    return "must be given"
+    return MUST
 
 
 def fields_of(cls: type) -> list[str]:
@@ -199,18 +199,11 @@ def _formats() -> list[str]:
     """Readers and writers with their options, and then what their docstrings point at."""
     out, pointed = _section("Readers and writers, by name", "="), dict[str, str]()
     out += ["What ``relnav list NAME`` prints of each.", ""]
-    for title, found, function, options_of in (
-        ("Reader", readers.readers(), "read", readers.options_of),
-        ("Writer", writers.writers(), "write", writers.options_of),
-    ):
-        for name in found:
-            texts = documented(found, name, function)
+    for title, one in FORMATS.items():
+        for name in one.names():
+            texts, options = one.described(name)
             out += [*_section(f"{title} ``{name}``", "-"), *prose(texts.pop(""))]
-            rows = []
-            for option, one in options_of(name).items():
-                must = one.default is inspect.Parameter.empty
-                default = "must be given" if must else f"``{one.default!r}``"
-                rows.append([f"``{option}``", default])
+            rows = [[f"``{n}``", f"``{d}``" if d else MUST] for n, d in options.items()]
             out += _table(["option", "default"], rows)
             pointed |= texts
     for name, text in sorted(pointed.items()):

@@ -9,19 +9,18 @@ import textwrap
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import get_args, get_type_hints
 
 import click
 import numpy as np
 
 from relnav_graph import estimators
-from relnav_graph.core import catalogue, models
+from relnav_graph.core import models
 from relnav_graph.core.contracts import Derived, Dynamics, Sensor
 from relnav_graph.core.state import Block
 from relnav_graph.errors import InputError
-from relnav_graph.io import readers as read_by
-from relnav_graph.io import writers as written_by
-from relnav_graph.registry import classes, documented, provides
+from relnav_graph.registry import classes, provides
+from relnav_graph.runs.described import FORMATS, MUST, states_of
 from relnav_graph.scenario.keys import tables
 from relnav_graph.scenario.shipped import shipped
 from relnav_graph.scenario.toml import read_toml
@@ -77,44 +76,6 @@ def _describe(kind: str, cls: type) -> None:
         _section("Parameters", rows)
 
 
-def _blocks_of(cls: type, what: str) -> set[Block]:
-    """The blocks that a kind of model `what` ("advances" or "reads"), with its parameters as by
-    default or, of one of them, another of its words; none of what cannot tell without others."""
-    default: dict[str, Any] = {}
-    for field in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
-        default[field.name] = None if field.default is dataclasses.MISSING else field.default
-        if field.default_factory is not dataclasses.MISSING:
-            default[field.name] = field.default_factory()
-    hints = get_type_hints(cls) if default else {}
-    words = [{n: w} for n in default for w in get_args(hints[n]) if isinstance(w, str)]
-    found = set[Block]()
-    for other in ({}, *words):
-        one: Any = object.__new__(cls)
-        for name, value in (default | other).items():
-            object.__setattr__(one, name, value)
-        try:
-            found |= {*getattr(one, what, ())}
-        except Exception:  # it has not all that it needs, and may be a stranger's code
-            continue
-    return found
-
-
-def _states(found: Mapping[str, type]) -> dict[str, dict[Block, dict[str, list[str]]]]:
-    """States by name: the blocks of that name, in one frame or another, each with the kinds of
-    models, of those found, that advance and read it."""
-    states: dict[str, dict[Block, dict[str, list[str]]]] = {}
-    for block in vars(catalogue).values():
-        for one in block if isinstance(block, tuple) else (block,):
-            if isinstance(one, Block):
-                states.setdefault(one.name, {})[one] = {"advances": [], "reads": []}
-    for kind, cls in found.items():
-        for what in ("advances", "reads"):
-            for block in sorted(_blocks_of(cls, what), key=str):
-                known = states.setdefault(block.name, {})
-                known.setdefault(block, {"advances": [], "reads": []})[what].append(kind)
-    return states
-
-
 def _describe_state(name: str, blocks: Mapping[Block, Mapping[str, list[str]]]) -> None:
     """What a state is, and which models advance and read it."""
     click.echo(f"{name}, a state\n")
@@ -127,13 +88,6 @@ def _describe_state(name: str, blocks: Mapping[Block, Mapping[str, list[str]]]) 
         rows["read by"] = ", ".join(by["reads"]) or "none by default"
         _section(f"{block.symbol}: {numbers}, {unit}{axes}", rows)
     click.echo("Parameters of a model may add to these: relnav list KIND says which it has.")
-
-
-#: What reads and what writes: modules by name, the function of each, and the options of one.
-_FORMATS = {
-    "Reader": (read_by.readers, "read", read_by.options_of),
-    "Writer": (written_by.writers, "write", written_by.options_of),
-}
 
 
 def _summaries(found: Mapping[str, str], what: str) -> dict[str, str]:
@@ -151,17 +105,13 @@ def _summaries(found: Mapping[str, str], what: str) -> dict[str, str]:
 
 def _describe_format(name: str) -> None:
     """What reads and what writes files of a name, with the options of both."""
-    for what, (found, function, options_of) in _FORMATS.items():
-        if name not in found():
+    for what, one in FORMATS.items():
+        if name not in one.names():
             continue
-        texts = documented(found(), name, function)
+        texts, options = one.described(name)
         click.echo(f"{name}, a {what.lower()}\n\n{texts.pop('')}\n")
-        options = {}
-        for option, one in options_of(name).items():
-            must = one.default is inspect.Parameter.empty
-            options[option] = "must be given" if must else f"default {one.default!r}"
         if options:
-            _section("Options", options)
+            _section("Options", {n: f"default {d}" if d else MUST for n, d in options.items()})
         for where, text in texts.items():
             click.echo(f"{where}\n\n{textwrap.indent(text, '  ')}\n")
 
@@ -190,14 +140,14 @@ def command(what: str | None) -> None:
     folder = None if what is None else Path(what)
     found = classes(models.ENTRY_POINTS)
     every = {**found, **classes(estimators.GROUP), **classes(TRUTHS)}
-    states = {} if what is None else _states(found)
+    states = {} if what is None else states_of(found)
     if what in every or what in states:
         if what in every:
             _describe(what, every[what])
         if what in states:
             _describe_state(what, states[what])
         return
-    formats = [name for found, *_ in _FORMATS.values() for name in found()]
+    formats = [name for one in FORMATS.values() for name in one.names()]
     if what == "scenario":
         _describe_keys()
         return
@@ -216,8 +166,8 @@ def command(what: str | None) -> None:
         _section(title, {k: _first_line(c) for k, c in found.items() if provides(c, contract)})
     for title, group in (("Estimators", estimators.GROUP), ("Truth and inputs", TRUTHS)):
         _section(title, {k: _first_line(c) for k, c in classes(group).items()})
-    for title, (names, *_) in _FORMATS.items():
-        _section(f"{title}s", _summaries(names(), title))
+    for title, one in FORMATS.items():
+        _section(f"{title}s", _summaries(one.names(), title))
     files = shipped() if folder is None else {str(p): p for p in sorted(folder.glob("*.toml"))}
     scenarios = {}
     for name, path in files.items():

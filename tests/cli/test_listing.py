@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from passes import relnav
 
-from relnav_graph.cli.listing import _blocks_of
 from relnav_graph.core import models
 from relnav_graph.core.contracts import Dynamics
 from relnav_graph.io import readers, writers
 from relnav_graph.registry import classes, provides
+from relnav_graph.runs.described import _blocks_of
 from relnav_graph.scenario.json_schema import json_schema
 from relnav_graph.scenario.keys import tables
 
