@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from board import BOARD
 from passes import ZHANG, recorded
 from scipy.spatial.transform import Rotation
 
@@ -21,30 +22,16 @@ from relnav_graph.runs.passes import open_pass
 from relnav_graph.scenario.build import load_scenario
 
 Turn = Callable[[Array, Array], tuple[Array, Array]]
-SCENARIO = """
-title = "a marker board and a gyro"
-[data]
-reader = "tables"
-[processes.turn]
-kind = "gyro_bias"
-attitude = "relative_attitude"
-angle_random_walk_density = "0.006 deg/sqrt(s)"
-bias_random_walk_density = "1e-6 rad/s^1.5"
-[processes.move]
-kind = "white_noise_acceleration"
-pose = "target"
-acceleration_density = "1e-3 m/s^1.5"
-[sensors.board]
-kind = "pose_measurement"
-pose = "target"
-position_sigma = "10 cm"
-attitude_sigma = "1 deg"
+SCENARIO = (
+    BOARD
+    + """
 [prior]
 relative_attitude = { mean = "measured", sigma = "60 deg" }
 relative_position = { mean = "measured", sigma = "10 m" }
 relative_velocity = { mean = [0, 0, 0], sigma = "1 m/s" }
 gyro_bias = { mean = [0, 0, 0], sigma = "100 deg/h" }
 """
+)
 
 
 def _drawn(turn: Turn, count: int = 40, size: float = 1.0) -> tuple[Array, Array, Array]:

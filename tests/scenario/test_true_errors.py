@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from board import BOARD
 from passes import EXPERIMENTS, relnav
 
 from relnav_graph.scenario.build import make_scenario
@@ -18,29 +19,9 @@ from relnav_graph.scenario.toml import read_toml
 Capture = pytest.CaptureFixture[str]
 
 #: Of recorded data: a scenario that does not know yet what they may bring.
-MINE = """
-title = "mine"
-
-[data]
-reader = "tables"
-
-[processes.turn]
-kind = "gyro_bias"
-attitude = "relative_attitude"
-angle_random_walk_density = "0.006 deg/sqrt(s)"
-bias_random_walk_density = "1e-6 rad/s^1.5"
-
-[processes.move]
-kind = "white_noise_acceleration"
-pose = "target"
-acceleration_density = "1e-3 m/s^1.5"
-
-[sensors.board]
-kind = "pose_measurement"
-pose = "target"
-position_sigma = "10 cm"
-attitude_sigma = "1 deg"
-
+MINE = (
+    BOARD
+    + """
 [sensors.ranger]
 kind = "range"
 pose = "target"
@@ -54,6 +35,7 @@ relative_position = { mean = "measured", sigma = "10 m" }
 relative_velocity = { mean = [0, 0, 0], sigma = "1 m/s" }
 range_bias = { mean = [0], sigma = "1 m" }
 """
+)
 
 
 def _problems(raw: Mapping[str, Any]) -> Problems:
