@@ -33,6 +33,7 @@ __all__ = [
     "interval_cautions",
     "late_cautions",
     "orbit_cautions",
+    "parameters_in",
     "untold_cautions",
 ]
 
@@ -96,7 +97,9 @@ def angle_cautions(
         if block.unit == "rad" and block.name not in copies  # of which nothing is known
     }
     for name, sensor in sensors.items():
-        given |= {f"sensors.{name}.{key}": value for key, value in _angle_sigmas(sensor).items()}
+        for key in parameters_in(sensor, "rad", "sigma"):
+            if (value := getattr(sensor, key)) is not None:
+                given[f"sensors.{name}.{key}"] = np.asarray(value)
     found = []
     for path, value in given.items():
         if (most := float(np.max(value))) > np.pi:
@@ -108,15 +111,13 @@ def angle_cautions(
     return tuple(found)
 
 
-def _angle_sigmas(sensor: Sensor) -> dict[str, Array]:
-    """The sigmas of a sensor that are angles, rad, by the name of the parameter."""
+def parameters_in(model: Dynamics | Sensor, unit: str, ending: str) -> list[str]:
+    """The parameters of a model that have a unit, and names that end so."""
     try:
-        known = quantities(type(sensor))
+        known = quantities(type(model))
     except Exception:  # of a stranger's class, whose annotations need not be types
-        return {}
-    angles = [key for key, q in known.items() if q.unit == "rad" and key.endswith("sigma")]
-    values = {key: getattr(sensor, key) for key in angles}
-    return {key: np.asarray(value) for key, value in values.items() if value is not None}
+        return []
+    return [name for name, q in known.items() if q.unit == unit and name.endswith(ending)]
 
 
 def interval_cautions(times: Array) -> tuple[Caution, ...]:

@@ -153,6 +153,15 @@ def process_inputs(
     return _condensed(process, u, spreads) if spreads.any() else process.condense(u)
 
 
+def channels(process: Dynamics) -> dict[str, slice]:
+    """Where each input of a process stands among the columns of u, see `process_inputs`."""
+    found, first = dict[str, slice](), 1
+    for name, columns in process.inputs.items():
+        found[name] = slice(first, first + len(columns))
+        first += len(columns)
+    return found
+
+
 def _condensed(process: Dynamics, u: Array, spreads: Array) -> Array:
     """u (rows, 1 + 2 channels): of each run of rows the process may make fewer, but not of those
     whose inputs are held."""
@@ -226,10 +235,8 @@ def make_epochs(
         if k == len(stamps) or stamps[k] > m.t + merge:
             raise InputError(f"sensor {m.sensor!r}: measurement at {m.t} s lies between epochs")
         groups[k].append(stamped(m, float(stamps[k])))
-    for process in processes.values():
-        for name in process.inputs:
-            if name in inputs:
-                _check_stamps(stamps, inputs[name])
+    for name in sorted({n for p in processes.values() for n in p.inputs} & inputs.keys()):
+        _check_stamps(stamps, inputs[name])
     epochs = []
     for k, t in enumerate(stamps):
         u, held = {}, dict[str, float]()

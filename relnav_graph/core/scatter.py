@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from relnav_graph.arrays import Array
-from relnav_graph.core.cautions import Caution
+from relnav_graph.core.cautions import Caution, parameters_in
 from relnav_graph.core.contracts import Dynamics
-from relnav_graph.core.epochs import Epoch
-from relnav_graph.units import column_unit, quantities
+from relnav_graph.core.epochs import Epoch, channels
+from relnav_graph.units import column_unit
 
 __all__ = ["scatter_cautions"]
 
@@ -42,25 +42,14 @@ def scatter_cautions(
     found = []
     for process, model in processes.items():
         u = [e.inputs[process] for e in epochs[1:LOOKED] if process in e.inputs]
-        first = 1  # behind the lengths of the intervals
-        for name, columns in model.inputs.items():
-            last = first + len(columns)
-            if path := _density(model, columns):
+        for name, own in channels(model).items():
+            column = model.inputs[name][0]
+            unit = _DENSITIES.get(str(column_unit(column)), "")
+            for path in parameters_in(model, unit, _WHITE)[:1]:
                 declared = float(np.sqrt(np.mean(np.square(getattr(model, path)))))
-                seen = _seen([one[:, [0, *range(first, last)]] for one in u])
-                found += _caution(name, f"processes.{process}.{path}", columns[0], declared, seen)
-            first = last
+                seen = _seen([np.hstack([one[:, :1], one[:, own]]) for one in u])
+                found += _caution(name, f"processes.{process}.{path}", unit, declared, seen)
     return tuple(found)
-
-
-def _density(model: Dynamics, columns: Sequence[str]) -> str:
-    """The parameter with the density of an input's white noise, "" where there is none."""
-    unit = _DENSITIES.get(str(column_unit(columns[0])))
-    try:
-        known = quantities(type(model))
-    except Exception:  # of a stranger's class, whose annotations need not be types
-        return ""
-    return next((n for n, q in known.items() if q.unit == unit and n.endswith(_WHITE)), "")
 
 
 def _seen(rows: Sequence[Array]) -> float | None:
@@ -80,12 +69,9 @@ def _seen(rows: Sequence[Array]) -> float | None:
     return min(found, default=None)
 
 
-def _caution(
-    name: str, path: str, column: str, declared: float, seen: float | None
-) -> list[Caution]:
+def _caution(name: str, path: str, unit: str, declared: float, seen: float | None) -> list[Caution]:
     if not seen or not declared or seen < declared * MORE:
         return []
-    unit = _DENSITIES[str(column_unit(column))]
     return [
         Caution(
             "input noise",

@@ -11,10 +11,10 @@ import numpy as np
 
 from relnav_graph.arrays import Array
 from relnav_graph.core.contracts import Dynamics
-from relnav_graph.core.epochs import Epoch
+from relnav_graph.core.epochs import Epoch, channels
 from relnav_graph.core.measurement import QUATERNION, Measurement
 from relnav_graph.core.problem import Problem
-from relnav_graph.io.poses import Motion, from_quaternions, quaternions
+from relnav_graph.io.poses import ORDERS, Motion, from_quaternions, quaternions
 from relnav_graph.scenario.first_estimate import with_measured
 from relnav_graph.units import column_unit
 
@@ -24,10 +24,10 @@ __all__ = ["BETTER", "Reading", "of_axes", "readings"]
 BETTER = 4.0
 _POSE = ("x_m", "y_m", "z_m", *QUATERNION)
 #: Where q_w, q_x, q_y, q_z stand in what was read, by how that was written.
-_ORDERS = {
-    "": [0, 1, 2, 3],
-    "written with the scalar last": [3, 0, 1, 2],
-    "written with the scalar first": [1, 2, 3, 0],
+_ORDERS: Mapping[str, Sequence[int]] = {
+    "": ORDERS["wxyz"],
+    "written with the scalar last": ORDERS["xyzw"],
+    "written with the scalar first": (1, 2, 3, 0),
 }
 #: By SI unit of a column what it may be in, and how many SI units one of that is. What is in km and
 #: was taken for m, fits too well: the verdict on the noise says it.
@@ -68,13 +68,10 @@ class Reading:
             return replace(epoch, measurements=tuple(own))
         inputs = dict(epoch.inputs)
         for process, u in epoch.inputs.items():
-            first = 1  # behind the lengths of the intervals
-            for name, columns in processes[process].inputs.items():
-                last = first + len(columns)
-                if name == self.name and self.sampled is not None:
-                    inputs[process] = u = u.copy()
-                    u[:, first:last] = self.sampled(u[:, first:last])
-                first = last
+            columns = channels(processes[process]).get(self.name)
+            if columns is not None and self.sampled is not None:
+                inputs[process] = u.copy()
+                inputs[process][:, columns] = self.sampled(u[:, columns])
         return replace(epoch, inputs=inputs)
 
 
